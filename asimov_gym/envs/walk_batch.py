@@ -1,0 +1,301 @@
+"""A batch of walking robots on C physics: the engine room of the Gymnasium environments and the trainer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile, Reading
+from asimov_gym.robot.joints import POLICY_JOINT_NAMES
+from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask
+from asimov_gym.tasks.walk import task as walk
+
+_ACTIONS = len(POLICY_JOINT_NAMES)
+
+
+@dataclass(frozen=True)
+class WalkStep:
+    """What a step of the batch returns. Rows of `observation` and `privileged` are already those of the next episode
+    where an episode has ended and the batch resets by itself."""
+
+    observation: np.ndarray
+    """(N, width) float32."""
+    privileged: np.ndarray
+    """(N, privileged width) float32."""
+    reward: np.ndarray
+    """(N,) float32."""
+    terminated: np.ndarray
+    """Fallen or diverged, (N,) bool."""
+    truncated: np.ndarray
+    """Out of time, (N,) bool."""
+    final_observation: np.ndarray
+    """The last observation of the episodes that ended, (N, width); equal to `observation` in other rows."""
+    shares: dict[str, np.ndarray]
+    """Each reward term's weighted value per second, (N,)."""
+    reading: Reading
+    """Before any reset, float32."""
+    clipped: int
+    """How many action entries were out of bounds and clipped."""
+
+
+@dataclass
+class Curriculum:
+    """Levels that grow while episodes last; part of a checkpoint."""
+
+    penalty: float
+    kick: float
+    mean_length: float
+    """Running mean length of finished episodes, policy steps."""
+
+
+class WalkBatch:
+    """N walking robots.
+
+    Args:
+        config: the task.
+        copies: N.
+        profile: physics profile.
+        threads: size of the physics thread pool.
+        seed: of everything random.
+        randomise: give each copy its own body figures and action delay; otherwise nominal figures and no delay.
+        noise: add sensor noise to the actor's observation.
+        kicks: kick the pelvis now and then.
+        curriculum: start penalties and kicks at their first level; otherwise at their last.
+        autoreset: start the next episode in the same step that ends one.
+        stagger: start episodes at random times of their life, so that they do not all end together.
+        dump_dir: where the state of diverged copies is written.
+        model: another compiled model of the robot.
+    """
+
+    def __init__(
+        self,
+        config: WalkConfig | None = None,
+        copies: int = 1,
+        profile: str | PhysicsProfile = "training",
+        threads: int | None = None,
+        seed: int | None = None,
+        *,
+        randomise: bool = True,
+        noise: bool = True,
+        kicks: bool = True,
+        curriculum: bool = False,
+        autoreset: bool = True,
+        stagger: bool = False,
+        dump_dir: Path | None = None,
+        model: mujoco.MjModel | None = None,
+    ) -> None:
+        self.task = WalkTask(config)
+        self.config = self.task.config
+        self.copies = copies
+        self.physics = CPhysics(copies, profile, threads, model=model, dump_dir=dump_dir)
+        self.randomise, self.noise, self.kicks, self.autoreset = randomise, noise, kicks, autoreset
+        self.stagger = stagger
+        first = self.config.curriculum.start if curriculum else 1.0
+        self.curriculum = Curriculum(penalty=first, kick=0.0 if curriculum else 1.0, mean_length=0.0)
+        self.rng = np.random.default_rng(seed)
+        self.body = _nominal_body(copies)
+        self._body_drawn = np.zeros(copies, dtype=bool)
+        self.state: WalkState
+        self.reading: Reading
+        self.reset()
+
+    def close(self) -> None:
+        """Stop the physics threads."""
+        self.physics.close()
+
+    # -- start ---------------------------------------------------------------------------------------------------------
+
+    def reset(self, seed: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Start all copies anew; with a seed, everything random restarts from it.
+
+        Returns:
+            The actor's observation (N, width) and the critic's (N, privileged width).
+        """
+        if seed is not None:
+            self.rng = np.random.default_rng(seed)
+            self._body_drawn[:] = False
+        self.state = self.task.initial_state(self._draw(walk.RESET_DRAWS))
+        self._start(np.ones(self.copies, dtype=bool))
+        if self.stagger:
+            steps = self.rng.integers(0, self.task.episode_steps, self.copies)
+            self.state = replace(self.state, step=steps)
+        self.reading = self.physics.read().astype(np.float32)
+        return self._observe()
+
+    def _start(self, which: np.ndarray) -> None:
+        """Put copies into a fresh episode: physics, body figures and task state."""
+        count = int(which.sum())
+        joints, height, quat, velocity = self.task.initial_pose(self._draw(walk.POSE_DRAWS, count))
+        position = np.zeros((count, 3))
+        position[:, 2] = height
+        qvel = np.zeros((count, self.physics.model.nv))
+        qvel[:, 0:6] = velocity
+        self.physics.reset(self.physics.configuration(joints, position, quat), qvel, copies=which)
+        fresh = self.task.initial_state(self._draw(walk.RESET_DRAWS, count))
+        if not self.randomise:
+            fresh = replace(fresh, delay=np.zeros_like(fresh.delay))
+        if not self.noise:
+            fresh = replace(fresh, joint_zero=np.zeros_like(fresh.joint_zero))
+        for f in fields(WalkState):
+            getattr(self.state, f.name)[which] = getattr(fresh, f.name)
+        if self.randomise:
+            lucky = self.rng.random(self.copies) < self.config.randomisation.redraw_share
+            redraw = which & (lucky | ~self._body_drawn)
+            if redraw.any():
+                drawn = self.task.draw_body(self._draw(walk.BODY_DRAWS, int(redraw.sum())))
+                for f in fields(BodyParameters):
+                    getattr(self.body, f.name)[redraw] = getattr(drawn, f.name)
+                self.physics.set_parameters(self.body, copies=redraw)
+                self._body_drawn |= redraw
+
+    # -- stepping ------------------------------------------------------------------------------------------------------
+
+    def step(self, action: np.ndarray) -> WalkStep:
+        """One policy step (20 ms) of every copy.
+
+        Args:
+            action: network outputs in policy order, (N, 23); finite values out of bounds are clipped and counted.
+
+        Raises:
+            ValueError: a wrong shape, or NaN.
+        """
+        wanted = check_action(action, (self.copies, _ACTIONS))
+        clipped_action = self.task.clip_action(wanted)
+        state = self.task.push_action(self.state, clipped_action)
+        if self.kicks:
+            state = self._kick(state)
+        target = JointTarget(self.task.targets(state))
+        self.reading = self.physics.step(target, DECIMATION).astype(np.float32)
+        diverged = self.physics.diverged
+        state, motion = self.task.motion(state, self.reading)
+        reward, shares = self.task.reward(motion, self.curriculum.penalty)
+        terminated = self.task.fallen(self.reading) | diverged
+        state = self.task.advance(state, self._draw(walk.COMMAND_DRAWS))
+        truncated = (state.step >= self.task.episode_steps) & ~terminated
+        reward = np.where(diverged, np.float32(0.0), reward).astype(np.float32)
+        self.state = state
+        done = terminated | truncated
+        last_reading = self.reading
+        final = None
+        if done.any():
+            self._grow(state.step[done])
+            if self.autoreset:
+                final, _ = self._observe()
+                self._start(done)
+                self.reading = self.physics.read().astype(np.float32)
+        observation, privileged = self._observe()
+        final_observation = observation if final is None else np.where(done[:, None], final, observation)
+        return WalkStep(
+            observation=observation,
+            privileged=privileged,
+            reward=reward,
+            terminated=terminated,
+            truncated=truncated,
+            final_observation=final_observation,
+            shares=shares,
+            reading=last_reading,
+            clipped=int((clipped_action != wanted).sum()),
+        )
+
+    def set_command(self, command: np.ndarray, steps: int | None = None) -> None:
+        """Fix the velocity command of all copies, (3,) or (N, 3), for `steps` policy steps or for good."""
+        lifetime = np.full(self.copies, np.iinfo(np.int64).max // 2 if steps is None else steps)
+        value = np.broadcast_to(np.asarray(command, dtype=np.float32), (self.copies, 3)).copy()
+        self.state = replace(self.state, command=value, command_left=lifetime)
+
+    def _kick(self, state: WalkState) -> WalkState:
+        due = state.kick_left <= 0
+        if not due.any():
+            return state
+        kick, wait = self.task.draw_kick(self._draw(walk.KICK_DRAWS, int(due.sum())), self.curriculum.kick)
+        self.physics.kick(kick, copies=due)
+        left = state.kick_left.copy()
+        left[due] = wait
+        return replace(state, kick_left=left)
+
+    def _grow(self, lengths: np.ndarray) -> None:
+        """Update the curriculum with the lengths of finished episodes."""
+        c = self.curriculum
+        c.mean_length += (float(lengths.mean()) - c.mean_length) * min(1.0, len(lengths) / self.copies)
+
+    def advance_curriculum(self) -> None:
+        """Let the levels grow by one step if episodes last. The trainer calls it once per policy step."""
+        c, settings = self.curriculum, self.config.curriculum
+        if c.mean_length < settings.long_episode_steps:
+            return
+        c.penalty = min(1.0, c.penalty * (1.0 + settings.penalty_growth))
+        if c.penalty >= 1.0:
+            c.kick = min(1.0, c.kick + settings.kick_growth)
+
+    def _observe(self) -> tuple[np.ndarray, np.ndarray]:
+        draws = self._draw(walk.SENSOR_DRAWS) if self.noise else None
+        observation = self.task.observe(self.state, self.reading, draws)
+        return observation, self.task.privilege(self.state, self.reading, self.body)
+
+    def _draw(self, width: int, count: int | None = None) -> np.ndarray:
+        return self.rng.random((self.copies if count is None else count, width), dtype=np.float32)
+
+    # -- checkpoints ---------------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> dict[str, Any]:
+        """Everything needed to continue this batch exactly, as plain arrays and dictionaries."""
+        return {
+            "physics": dict(vars(self.physics.state())),
+            "task": {f.name: getattr(self.state, f.name).copy() for f in fields(WalkState)},
+            "body": {f.name: getattr(self.body, f.name).copy() for f in fields(BodyParameters)},
+            "body_drawn": self._body_drawn.copy(),
+            "curriculum": dict(vars(self.curriculum)),
+            "rng": self.rng.bit_generator.state,
+        }
+
+    def restore(self, snapshot: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """Continue from a snapshot of a batch of the same size; returns the observations, drawn with fresh noise.
+
+        Raises:
+            ValueError: the snapshot is of another batch size.
+        """
+        count = len(snapshot["task"]["step"])
+        if count != self.copies:
+            raise ValueError(f"copies of the snapshot must be {self.copies}, got {count}")
+        from asimov_gym.physics import PhysicsState
+
+        self.physics.set_state(PhysicsState(**snapshot["physics"]))
+        self.state = WalkState(**{name: value.copy() for name, value in snapshot["task"].items()})
+        self.body = BodyParameters(**{name: value.copy() for name, value in snapshot["body"].items()})
+        self._body_drawn = snapshot["body_drawn"].copy()
+        if self._body_drawn.any():
+            self.physics.set_parameters(self.body, copies=self._body_drawn)
+        self.curriculum = Curriculum(**snapshot["curriculum"])
+        self.rng.bit_generator.state = snapshot["rng"]
+        self.reading = self.physics.read().astype(np.float32)
+        return self._observe()
+
+
+def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The action as float32 of the given shape.
+
+    Raises:
+        ValueError: a wrong shape, or an entry that is NaN; infinities pass, they are clipped.
+    """
+    array = np.asarray(action, dtype=np.float32)
+    if array.shape != shape:
+        raise ValueError(f"action has shape {array.shape}, allowed is {shape}")
+    if np.isnan(array).any():
+        place = np.argwhere(np.isnan(array))[0].tolist()
+        raise ValueError(f"action is NaN at {place}; entries must be finite numbers")
+    return array
+
+
+def _nominal_body(copies: int) -> BodyParameters:
+    joints = 25
+    return BodyParameters(
+        foot_friction=np.full(copies, 0.6, dtype=np.float32),
+        kp_scale=np.ones((copies, joints), dtype=np.float32),
+        kd_scale=np.ones((copies, joints), dtype=np.float32),
+        torso_mass=np.zeros(copies, dtype=np.float32),
+        torso_com=np.zeros((copies, 3), dtype=np.float32),
+    )

@@ -1,0 +1,367 @@
+"""N robots on MuJoCo's C engine, stepped together on a thread pool."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+
+from asimov_gym.assets import asset_path
+from asimov_gym.physics.parameters import BodyParameters, ModelFigures
+from asimov_gym.physics.profile import PhysicsProfile, physics_profile
+from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading
+from asimov_gym.robot.frames import projected_gravity
+from asimov_gym.robot.joints import JOINT_NAMES
+
+_log = logging.getLogger(__name__)
+
+_FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_CTRL = mujoco.mjtState.mjSTATE_CTRL
+_WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
+_SPEED_LIMIT = 1e3
+"""Generalised speeds beyond this (m/s, rad/s) count as a diverged simulation."""
+
+
+class CPhysics:
+    """A batch of robots under one physics profile.
+
+    Args:
+        copies: number of robots N, at least 1.
+        profile: `"evaluation"`, `"training"` or a profile of your own.
+        threads: size of the thread pool; the machine's cores by default, never more than N.
+        parameters: per-copy body figures at the start; see `set_parameters`.
+        model: a compiled model to simulate instead of the shipped one (other revision, terrain).
+        dump_dir: folder for the state of diverged copies; nothing is written when None.
+    """
+
+    def __init__(
+        self,
+        copies: int = 1,
+        profile: str | PhysicsProfile = "evaluation",
+        threads: int | None = None,
+        parameters: BodyParameters | None = None,
+        model: mujoco.MjModel | None = None,
+        dump_dir: Path | None = None,
+    ) -> None:
+        if copies < 1:
+            raise ValueError(f"copies must be at least 1, got {copies}")
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self.profile = physics_profile(profile)
+        self.copies = copies
+        self.model = compile_model(self.profile) if model is None else model
+        self.timestep = float(self.model.opt.timestep)
+        self.figures = ModelFigures(self.model)
+        self.divergences = 0
+        """How often a copy had to be reset because its simulation diverged."""
+        self.diverged = np.zeros(copies, dtype=bool)
+        """Copies that diverged in the last step."""
+        self._dump_dir = dump_dir
+        self._models: list[mujoco.MjModel] | None = None
+        self._qpos_places, self._qvel_places = _joint_places(self.model)
+        self._sensors = _SensorPlaces(self.model)
+        self._loads = np.array([self.model.actuator(n.removesuffix("_joint") + "_load").id for n in JOINT_NAMES])
+        pool = min(threads or os.cpu_count() or 1, copies)
+        self._datas = [mujoco.MjData(self.model) for _ in range(pool)]
+        self._rollout = rollout.Rollout(nthread=pool if pool > 1 else 0)
+        self._standing_sensors = self._sensors_of(*self.standing())
+        n, m = copies, self.model
+        self._state = PhysicsState(
+            np.zeros(n), np.zeros((n, m.nq)), np.zeros((n, m.nv)), np.zeros((n, m.nv)), np.zeros((n, m.nsensordata))
+        )
+        self._expected_time = np.zeros(n)
+        self._buffers: dict[tuple[int, int], tuple[np.ndarray, ...]] = {}
+        if parameters is not None:
+            self.set_parameters(parameters)
+        self.reset(*self.standing())
+
+    def close(self) -> None:
+        """Stop the thread pool."""
+        self._rollout.close()
+
+    # -- state ---------------------------------------------------------------------------------------------------------
+
+    def standing(self) -> tuple[np.ndarray, np.ndarray]:
+        """Keyframe `stand`: generalised positions (nq,) and velocities (nv,)."""
+        key = self.model.key("stand")
+        return key.qpos.copy(), key.qvel.copy()
+
+    def configuration(self, joint_position: np.ndarray, base_position: np.ndarray, base_quat: np.ndarray) -> np.ndarray:
+        """Generalised positions (n, nq) from joint order (n, 25), pelvis position (n, 3) and orientation (n, 4)."""
+        qpos = np.broadcast_to(self.standing()[0], (len(joint_position), self.model.nq)).copy()
+        qpos[:, 0:3], qpos[:, 3:7], qpos[:, self._qpos_places] = base_position, base_quat, joint_position
+        return qpos
+
+    def reset(self, qpos: np.ndarray, qvel: np.ndarray, copies: np.ndarray | None = None) -> None:
+        """Put copies into a state at time 0, with sensors of a robot at rest in the standing pose.
+
+        Args:
+            qpos: generalised positions, (nq,) or (n, nq).
+            qvel: generalised velocities, (nv,) or (n, nv).
+            copies: indices or mask of the copies; all when None.
+        """
+        if not (np.isfinite(qpos).all() and np.isfinite(qvel).all()):
+            raise ValueError("reset state must be finite: qpos or qvel holds NaN or infinity")
+        where = slice(None) if copies is None else copies
+        s = self._state
+        s.time[where], s.qpos[where], s.qvel[where] = 0.0, qpos, qvel
+        s.warmstart[where], s.sensors[where] = 0.0, self._standing_sensors
+
+    def state(self) -> PhysicsState:
+        """A copy of the whole state."""
+        s = self._state
+        return PhysicsState(s.time.copy(), s.qpos.copy(), s.qvel.copy(), s.warmstart.copy(), s.sensors.copy())
+
+    def set_state(self, state: PhysicsState) -> None:
+        """Continue from a state taken with `state()` of a batch of the same size and model."""
+        if state.qpos.shape != self._state.qpos.shape:
+            raise ValueError(f"state.qpos has shape {state.qpos.shape}, this batch needs {self._state.qpos.shape}")
+        for name in ("time", "qpos", "qvel", "warmstart", "sensors"):
+            getattr(self._state, name)[...] = getattr(state, name)
+
+    def kick(self, velocity: np.ndarray, copies: np.ndarray | None = None) -> None:
+        """Add to the pelvis velocity, (n, 6): linear in the world frame (m/s), angular in the body frame (rad/s)."""
+        self._state.qvel[slice(None) if copies is None else copies, 0:6] += velocity
+
+    def set_parameters(self, parameters: BodyParameters, copies: np.ndarray | None = None) -> None:
+        """Give copies their own body figures. The arrays have one row per copy of the whole batch."""
+        if self._models is None:
+            self._models = [copy.copy(self.model) for _ in range(self.copies)]
+        for index in range(self.copies) if copies is None else np.arange(self.copies)[copies]:
+            self.figures.write(self._models[index], parameters, int(index))
+
+    # -- stepping ------------------------------------------------------------------------------------------------------
+
+    def step(
+        self, target: JointTarget, substeps: int = 1, wrench: Mapping[str, np.ndarray] | None = None
+    ) -> Reading:
+        """Advance every copy by `substeps` physics steps.
+
+        Args:
+            target: joint command; arrays (N, 25) or (N, substeps, 25).
+            substeps: physics steps, at least 1.
+            wrench: force and torque on bodies at their centres of mass, world frame, (N, 6) by body name, held for the call.
+
+        Raises:
+            ValueError: a wrong shape, a value that is not finite, or an unknown body.
+        """
+        position = self._rows("position", target.position, substeps)
+        load = None if target.load is None else self._rows("load", target.load, substeps)
+        velocity = None if target.velocity is None else self._rows("velocity", target.velocity, substeps)
+        kp = None if target.kp is None else self._rows("kp", target.kp, substeps)
+        kd = None if target.kd is None else self._rows("kd", target.kd, substeps)
+        forces = None if wrench is None else self._wrench(wrench)
+        before = self.state() if self._dump_dir is not None else None
+
+        if kp is None and kd is None:
+            damping = self._damping() if velocity is not None else None
+            self._advance(position, _feed_forward(load, velocity, damping), forces)
+        else:
+            self._advance_with_gains(position, velocity, load, kp, kd, forces)
+        self._contain_divergence(before, target, substeps)
+        return self.read()
+
+    def read(self) -> Reading:
+        """The present reading."""
+        s, places = self._state, self._sensors
+        quat = s.qpos[:, 3:7]
+        return Reading(
+            base_position=s.qpos[:, 0:3].copy(),
+            base_quat=quat.copy(),
+            base_velocity=s.qvel[:, 0:3].copy(),
+            gyro=s.qvel[:, 3:6].copy(),
+            gravity=projected_gravity(quat),
+            joint_position=s.qpos[:, self._qpos_places],
+            joint_velocity=s.qvel[:, self._qvel_places],
+            joint_torque=s.sensors[:, places.torque],
+            foot_position=s.sensors[:, places.foot_position],
+            foot_velocity=s.sensors[:, places.foot_velocity],
+            foot_up=s.sensors[:, places.foot_up],
+            foot_force=s.sensors[:, places.foot_force],
+        )
+
+    def _advance(self, position: np.ndarray, load: np.ndarray | None, forces: np.ndarray | None) -> None:
+        """Step with the gains that the models hold. `position`, `load`: (N, S, 25); `forces`: (N, 6 nbody)."""
+        n, substeps = position.shape[:2]
+        m, s = self.model, self._state
+        width = m.nu + (0 if forces is None else 6 * m.nbody)
+        initial, control, states, sensors = self._buffer(substeps, width)
+        initial[:, 0], initial[:, 1 : 1 + m.nq], initial[:, 1 + m.nq : 1 + m.nq + m.nv] = s.time, s.qpos, s.qvel
+        control[:, :, self.figures.servos] = position
+        control[:, :, self._loads] = 0.0 if load is None else load
+        spec = int(_CTRL)
+        if forces is not None:
+            spec |= int(_WRENCH)
+            control[:, :, m.nu :] = forces[:, None, :]
+        self._rollout.rollout(
+            [self.model] * n if self._models is None else self._models,
+            self._datas,
+            initial,
+            control,
+            control_spec=spec,
+            skip_checks=True,
+            nstep=substeps,
+            initial_warmstart=s.warmstart,
+            state=states,
+            sensordata=sensors,
+        )
+        before = s.qvel.copy() if substeps == 1 else states[:, -2, 1 + m.nq : 1 + m.nq + m.nv]
+        s.time[:] = states[:, -1, 0]
+        s.qpos[:] = states[:, -1, 1 : 1 + m.nq]
+        s.qvel[:] = states[:, -1, 1 + m.nq : 1 + m.nq + m.nv]
+        # The engine does not hand back its solver state; the last acceleration is as good a start for the next step.
+        np.subtract(s.qvel, before, out=s.warmstart)
+        np.divide(s.warmstart, self.timestep, out=s.warmstart)
+        s.sensors[:] = sensors[:, -1]
+        self._expected_time = initial[:, 0] + substeps * self.timestep
+
+    def _advance_with_gains(
+        self,
+        position: np.ndarray,
+        velocity: np.ndarray | None,
+        load: np.ndarray | None,
+        kp: np.ndarray | None,
+        kd: np.ndarray | None,
+        forces: np.ndarray | None,
+    ) -> None:
+        """Step with explicit gains: the models' gains are lent for the call, substep by substep if they change."""
+        models = [self.model] if self._models is None and self.copies == 1 else self._own_models()
+        own = [(m.actuator_gainprm[self.figures.servos, 0].copy(), self._servo_damping(m)) for m in models]
+        gains = [a for a in (kp, kd) if a is not None]
+        constant = all((a == a[:, :1]).all() for a in gains)
+        runs = [slice(None)] if constant else [slice(k, k + 1) for k in range(position.shape[1])]
+        try:
+            for run in runs:
+                damping = np.empty((self.copies, 1, len(JOINT_NAMES)))
+                for i, model in enumerate(models):
+                    row_kp = own[i][0] if kp is None else kp[i, run][0]
+                    row_kd = own[i][1] if kd is None else kd[i, run][0]
+                    self.figures.write_gains(model, row_kp, row_kd)
+                    damping[i, 0] = row_kd
+                part_velocity = None if velocity is None else velocity[:, run]
+                feed = _feed_forward(None if load is None else load[:, run], part_velocity, damping)
+                self._advance(position[:, run], feed, forces)
+        finally:
+            for model, (model_kp, model_kd) in zip(models, own, strict=True):
+                self.figures.write_gains(model, model_kp, model_kd)
+
+    def _own_models(self) -> list[mujoco.MjModel]:
+        if self._models is None:
+            self._models = [copy.copy(self.model) for _ in range(self.copies)]
+        return self._models
+
+    def _servo_damping(self, model: mujoco.MjModel) -> np.ndarray:
+        return -model.actuator_biasprm[self.figures.servos, 2]
+
+    def _damping(self) -> np.ndarray:
+        """Damping gains of every copy, (N, 1, 25)."""
+        if self._models is None:
+            return np.broadcast_to(self._servo_damping(self.model), (self.copies, 1, len(JOINT_NAMES)))
+        return np.stack([self._servo_damping(model) for model in self._models])[:, None]
+
+    def _contain_divergence(self, before: PhysicsState | None, target: JointTarget, substeps: int) -> None:
+        """Reset copies whose simulation blew up. The engine freezes such a copy, so its clock is behind."""
+        s = self._state
+        late = s.time < self._expected_time - 0.5 * self.timestep
+        self.diverged = late | ~np.isfinite(s.qpos).all(axis=1) | ~(np.abs(s.qvel).max(axis=1) < _SPEED_LIMIT)
+        if not self.diverged.any():
+            return
+        bad = np.flatnonzero(self.diverged)
+        self.divergences += len(bad)
+        if before is not None and self._dump_dir is not None:
+            self._dump_dir.mkdir(parents=True, exist_ok=True)
+            path = self._dump_dir / f"diverged_{self.divergences:06d}.npz"
+            arrays = {name: value[bad] for name, value in vars(before).items()}
+            commands = {name: np.asarray(value)[bad] for name, value in vars(target).items() if value is not None}
+            np.savez(path, substeps=substeps, **arrays, **commands)
+            _log.warning("simulation of %d copies diverged; their state is in %s", len(bad), path)
+        else:
+            _log.warning("simulation of %d copies diverged and was reset", len(bad))
+        self.reset(*self.standing(), copies=bad)
+
+    # -- checks and buffers --------------------------------------------------------------------------------------------
+
+    def _rows(self, name: str, value: np.ndarray, substeps: int) -> np.ndarray:
+        """Check a target array and give it one row per substep, (N, S, 25)."""
+        if substeps < 1:
+            raise ValueError(f"substeps must be at least 1, got {substeps}")
+        array = np.asarray(value, dtype=np.float64)
+        flat, full = (self.copies, len(JOINT_NAMES)), (self.copies, substeps, len(JOINT_NAMES))
+        if array.shape == flat:
+            array = np.broadcast_to(array[:, None, :], full)
+        if array.shape != full:
+            raise ValueError(f"JointTarget.{name} has shape {array.shape}, allowed are {flat} and {full}")
+        if not np.isfinite(array).all():
+            copy_, _, joint = np.argwhere(~np.isfinite(array))[0]
+            raise ValueError(f"JointTarget.{name} of copy {copy_}, {JOINT_NAMES[joint]}, is not finite")
+        return array
+
+    def _wrench(self, wrench: Mapping[str, np.ndarray]) -> np.ndarray:
+        forces = np.zeros((self.copies, self.model.nbody, 6))
+        for name, value in wrench.items():
+            body = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, name)
+            if body < 0:
+                known = [self.model.body(i).name for i in range(1, self.model.nbody)]
+                raise ValueError(f"wrench on unknown body {name!r}; the bodies are {', '.join(known)}")
+            array = np.asarray(value, dtype=np.float64)
+            if array.shape != (self.copies, 6) or not np.isfinite(array).all():
+                raise ValueError(f"wrench[{name!r}] must be finite with shape {(self.copies, 6)}, got {array.shape}")
+            forces[:, body] = array
+        return forces.reshape(self.copies, -1)
+
+    def _buffer(self, substeps: int, width: int) -> tuple[np.ndarray, ...]:
+        key = (substeps, width)
+        if key not in self._buffers:
+            n, m = self.copies, self.model
+            nstate = mujoco.mj_stateSize(m, int(_FULL))
+            shapes = ((n, nstate), (n, substeps, width), (n, substeps, nstate), (n, substeps, m.nsensordata))
+            self._buffers[key] = tuple(np.zeros(shape) for shape in shapes)
+        return self._buffers[key]
+
+    def _sensors_of(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        data = self._datas[0]
+        data.qpos[:], data.qvel[:] = qpos, qvel
+        mujoco.mj_forward(self.model, data)
+        return data.sensordata.copy()
+
+
+def compile_model(profile: str | PhysicsProfile = "evaluation") -> mujoco.MjModel:
+    """The shipped robot on a flat floor under a physics profile."""
+    spec = mujoco.MjSpec.from_file(str(asset_path("asimov1.xml")))
+    physics_profile(profile).apply(spec)
+    return spec.compile()
+
+
+def _feed_forward(load: np.ndarray | None, velocity: np.ndarray | None, damping: np.ndarray | None) -> np.ndarray | None:
+    """Torque beside the servo's own: `load + kd * velocity`, or None when there is none."""
+    if velocity is None:
+        return load
+    assert damping is not None
+    drive = damping * velocity
+    return drive if load is None else drive + load
+
+
+def _joint_places(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    joints = [model.joint(name) for name in JOINT_NAMES]
+    return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
+
+
+class _SensorPlaces:
+    """Indices into a row of sensor values."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        def place(name: str) -> np.ndarray:
+            sensor = model.sensor(name)
+            return np.arange(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
+
+        self.torque = np.concatenate([place(name.removesuffix("_joint") + "_torque") for name in JOINT_NAMES])
+        self.foot_position = np.stack([place("left_foot_position"), place("right_foot_position")])
+        self.foot_velocity = np.stack([place("left_foot_velocity"), place("right_foot_velocity")])
+        self.foot_up = np.stack([place("left_foot_up"), place("right_foot_up")])
+        self.foot_force = np.stack([place("left_foot_force"), place("right_foot_force")])

@@ -1,0 +1,101 @@
+"""What goes into a physics step and what comes out of it. All joint arrays are in joint order, batch first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+
+@dataclass(frozen=True)
+class JointTarget:
+    """Command of the one control law, `torque = kp (position - q) + kd (velocity - q') + load`, clamped to the joint's effort.
+
+    Each array is (N, 25), held for every substep, or (N, S, 25), one row for each of S substeps.
+    """
+
+    position: Any
+    """rad."""
+    velocity: Any | None = None
+    """rad/s; zero when omitted."""
+    load: Any | None = None
+    """Feed-forward torque, N·m; zero when omitted."""
+    kp: Any | None = None
+    """N·m/rad; the model's gains when omitted."""
+    kd: Any | None = None
+    """N·m·s/rad; the model's gains when omitted."""
+
+
+def delayed_position(history: Any, delay: Any, substeps: int) -> Any:
+    """Per-substep targets when commands act `delay` physics steps late, (N, substeps, 25).
+
+    Args:
+        history: targets of the present policy step and the ones before, newest first, (N, H, 25).
+        delay: whole physics steps, (N,) int, at most `substeps * (H - 1)`.
+        substeps: physics steps per policy step.
+    """
+    xp = array_namespace(history)
+    late = delay[:, None] - xp.arange(substeps)[None, :]
+    age = xp.where(late > 0, (late + substeps - 1) // substeps, xp.zeros_like(late))
+    rows = xp.arange(history.shape[0])[:, None]
+    return history[rows, age]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """State of N robots after a step.
+
+    Foot and torque entries are measured at the start of the last physics step (5 ms earlier than the rest), as MuJoCo's
+    sensors are.
+    """
+
+    base_position: Any
+    """Pelvis origin, world, m, (N, 3)."""
+    base_quat: Any
+    """Pelvis orientation (w, x, y, z), body to world, (N, 4)."""
+    base_velocity: Any
+    """Velocity of the pelvis origin, world, m/s, (N, 3)."""
+    gyro: Any
+    """Angular velocity, body frame, rad/s, (N, 3)."""
+    gravity: Any
+    """Unit vector to the ground, body frame, (N, 3)."""
+    joint_position: Any
+    """rad, (N, 25)."""
+    joint_velocity: Any
+    """rad/s, (N, 25)."""
+    joint_torque: Any
+    """Torque of the drives after clamping, N·m, (N, 25)."""
+    foot_position: Any
+    """Site under each foot (left, right), world, m, (N, 2, 3)."""
+    foot_velocity: Any
+    """World, m/s, (N, 2, 3)."""
+    foot_up: Any
+    """The soles' upward direction, world unit vectors, (N, 2, 3)."""
+    foot_force: Any
+    """Net force of the ground on each foot, world, N, (N, 2, 3)."""
+
+    def astype(self, dtype: Any) -> Reading:
+        """The same reading in another floating type."""
+        return replace(self, **{f.name: getattr(self, f.name).astype(dtype) for f in fields(self)})
+
+    def take(self, index: Any) -> Reading:
+        """The reading of some of the copies."""
+        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+
+@dataclass(frozen=True)
+class PhysicsState:
+    """Everything needed to continue a simulation exactly."""
+
+    time: np.ndarray
+    """s, (N,)."""
+    qpos: np.ndarray
+    """Generalised positions in the model's order, (N, nq)."""
+    qvel: np.ndarray
+    """(N, nv)."""
+    warmstart: np.ndarray
+    """Accelerations that the constraint solver starts from, (N, nv)."""
+    sensors: np.ndarray
+    """Sensor values of the last step, (N, nsensordata)."""

@@ -1,0 +1,119 @@
+"""YAML presets validated into frozen dataclasses, and back."""
+
+from __future__ import annotations
+
+import collections.abc
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+T = TypeVar("T")
+
+
+def from_mapping(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
+    """Build a dataclass from nested mappings; fields that are missing keep their defaults.
+
+    A field that is itself a mapping of numbers (reward weights) is laid over its default, key by key.
+
+    Raises:
+        ValueError: an unknown key or a value of the wrong kind; the message names the field and what is known.
+    """
+    if not isinstance(data, collections.abc.Mapping):
+        raise ValueError(f"{where or cls.__name__} must be a mapping, got {data!r}")
+    known = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    unknown = sorted(set(map(str, data)) - set(known))
+    if unknown:
+        place = f" in {where}" if where else ""
+        raise ValueError(f"unknown keys {unknown}{place}; known keys: {', '.join(known)}")
+    hints = typing.get_type_hints(cls)
+    values = {}
+    for name, value in data.items():
+        path = f"{where}.{name}" if where else name
+        values[name] = _convert(hints[name], value, path, known[name])
+    try:
+        return cls(**values)
+    except TypeError as error:
+        raise ValueError(f"{where or cls.__name__}: {error}") from error
+
+
+def load(cls: type[T], path: Path) -> T:
+    """Read a preset file.
+
+    Raises:
+        FileNotFoundError: the file is missing.
+        ValueError: it is not YAML, or does not fit the dataclass; names the file.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is not valid YAML: {error}") from error
+    try:
+        return from_mapping(cls, {} if data is None else data)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def to_mapping(config: Any) -> Any:
+    """The dataclass as plain mappings, lists and scalars, ready for YAML or JSON."""
+    if dataclasses.is_dataclass(config) and not isinstance(config, type):
+        return {f.name: to_mapping(getattr(config, f.name)) for f in dataclasses.fields(config)}
+    if isinstance(config, collections.abc.Mapping):
+        return {str(key): to_mapping(value) for key, value in config.items()}
+    if isinstance(config, list | tuple):
+        return [to_mapping(value) for value in config]
+    if isinstance(config, Path):
+        return str(config)
+    return config
+
+
+def save(config: Any, path: Path) -> None:
+    """Write a dataclass as YAML."""
+    path.write_text(yaml.safe_dump(to_mapping(config), sort_keys=False), encoding="utf-8")
+
+
+def _convert(hint: Any, value: Any, path: str, field: dataclasses.Field[Any]) -> Any:
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in args:
+            return None
+        (hint,) = [a for a in args if a is not type(None)][:1]
+        return _convert(hint, value, path, field)
+    if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        return from_mapping(hint, value, path)
+    if origin is collections.abc.Mapping:
+        if not isinstance(value, collections.abc.Mapping):
+            raise ValueError(f"{path} must be a mapping, got {value!r}")
+        default = field.default_factory() if field.default_factory is not dataclasses.MISSING else {}
+        return {**default, **{k: _number(v, f"{path}.{k}") for k, v in value.items()}}
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise ValueError(f"{path} must be a list, got {value!r}")
+        inner = args[0]
+        return tuple(_convert(inner, v, f"{path}[{i}]", field) for i, v in enumerate(value))
+    if hint is float:
+        return _number(value, path)
+    if hint is bool and not isinstance(value, bool):
+        raise ValueError(f"{path} must be true or false, got {value!r}")
+    if hint is int and (isinstance(value, bool) or not isinstance(value, int)):
+        raise ValueError(f"{path} must be a whole number, got {value!r}")
+    if hint is str and not isinstance(value, str):
+        raise ValueError(f"{path} must be text, got {value!r}")
+    if hint is Path:
+        return Path(value)
+    return value
+
+
+def _number(value: Any, path: str) -> float:
+    if isinstance(value, str):
+        try:  # YAML 1.1 reads 1e-3 as text
+            return float(value)
+        except ValueError:
+            pass
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{path} must be a number, got {value!r}")
+    return float(value)

@@ -1,0 +1,51 @@
+"""Rotations between the world, the body and the heading frame, over the array-API standard.
+
+World frame: x forward at the start, y left, z up. Body frame: the pelvis'. Heading frame: the world frame turned about z
+so that x points where the pelvis points. Quaternions are unit (w, x, y, z), body to world. All functions broadcast over
+leading axes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from array_api_compat import array_namespace
+
+
+def rotate_inverse(quat: Any, vector: Any) -> Any:
+    """World vector (..., 3) in the body frame of `quat` (..., 4)."""
+    xp = array_namespace(quat, vector)
+    w = quat[..., 0:1]
+    x, y, z = quat[..., 1], quat[..., 2], quat[..., 3]
+    a, b, c = vector[..., 0], vector[..., 1], vector[..., 2]
+    # t = 2 (v x q): the cross product of the vector with the quaternion's vector part
+    t = 2.0 * xp.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+    tx, ty, tz = t[..., 0], t[..., 1], t[..., 2]
+    return vector + w * t + xp.stack([ty * z - tz * y, tz * x - tx * z, tx * y - ty * x], axis=-1)
+
+
+def projected_gravity(quat: Any) -> Any:
+    """Unit vector towards the ground in the body frame, (..., 3); upright gives (0, 0, -1)."""
+    xp = array_namespace(quat)
+    w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
+    return xp.stack([2.0 * (w * y - x * z), -2.0 * (w * x + y * z), 2.0 * (x * x + y * y) - 1.0], axis=-1)
+
+
+def heading(quat: Any) -> Any:
+    """Angle of the body's x axis about the world's z, (...), rad in (-pi, pi]."""
+    xp = array_namespace(quat)
+    w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
+    return xp.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def to_heading(angle: Any, vector: Any) -> Any:
+    """World vector (..., 3) in the frame turned by `angle` (...) about z."""
+    xp = array_namespace(angle, vector)
+    c, s = xp.cos(angle), xp.sin(angle)
+    x, y = vector[..., 0], vector[..., 1]
+    return xp.stack([c * x + s * y, c * y - s * x, vector[..., 2]], axis=-1)
+
+
+def yaw_rate(gravity: Any, gyro: Any) -> Any:
+    """Turning rate about the world's z axis, (...), rad/s, from body-frame gravity and angular velocity."""
+    return -(gravity[..., 0] * gyro[..., 0] + gravity[..., 1] * gyro[..., 1] + gravity[..., 2] * gyro[..., 2])

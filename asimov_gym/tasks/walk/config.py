@@ -1,0 +1,207 @@
+"""Settings of the walking task. Every field is checked on construction; a preset is YAML of the same shape."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from asimov_gym.robot.observation import LAYOUTS, STANDING_THRESHOLD
+
+
+def check_range(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError unless `low <= value <= high`."""
+    if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
+
+
+def check_interval(name: str, value: tuple[float, float], low: float, high: float) -> None:
+    """Raise ValueError unless `value` is an ordered pair within [low, high]."""
+    if len(value) != 2:
+        raise ValueError(f"{name} must be a pair [low, high], got {value!r}")
+    check_range(f"{name}[0]", value[0], low, high)
+    check_range(f"{name}[1]", value[1], low, high)
+    if value[0] > value[1]:
+        raise ValueError(f"{name} must be ordered low to high, got {value!r}")
+
+
+@dataclass(frozen=True)
+class CommandConfig:
+    """Velocity commands: how they are drawn, and how often."""
+
+    vx: tuple[float, float] = (-0.6, 0.8)
+    """Forward, m/s."""
+    vy: tuple[float, float] = (-0.4, 0.4)
+    """Left, m/s."""
+    wz: tuple[float, float] = (-0.8, 0.8)
+    """Turning, rad/s."""
+    standing_share: float = 0.15
+    """Share of draws that ask to stand."""
+    single_axis_share: float = 0.3
+    """Share of draws with only one of the three velocities."""
+    interval_s: tuple[float, float] = (3.0, 7.0)
+    """Time until the next draw."""
+
+    def __post_init__(self) -> None:
+        check_interval("command.vx", self.vx, -2.0, 2.0)
+        check_interval("command.vy", self.vy, -1.0, 1.0)
+        check_interval("command.wz", self.wz, -2.0, 2.0)
+        check_range("command.standing_share", self.standing_share, 0.0, 1.0)
+        check_range("command.single_axis_share", self.single_axis_share, 0.0, 1.0 - self.standing_share)
+        check_interval("command.interval_s", self.interval_s, 0.02, 1e6)
+
+
+@dataclass(frozen=True)
+class NoiseConfig:
+    """Half-widths of uniform sensor noise, drawn anew every step, and the encoder zero, drawn at reset."""
+
+    gyro: float = 0.05
+    """rad/s."""
+    gravity: float = 0.03
+    joint_position: float = 0.01
+    """rad."""
+    joint_velocity: float = 0.5
+    """rad/s."""
+    joint_zero: float = 0.01
+    """Encoder offset, rad."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            check_range(f"noise.{name}", value, 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class RandomisationConfig:
+    """What differs from copy to copy, drawn at reset."""
+
+    foot_friction: tuple[float, float] = (0.4, 1.2)
+    kp_scale: tuple[float, float] = (0.85, 1.15)
+    kd_scale: tuple[float, float] = (0.85, 1.15)
+    torso_mass: tuple[float, float] = (-0.5, 2.0)
+    """kg added to the torso."""
+    torso_com_x: tuple[float, float] = (-0.02, 0.04)
+    """Shift of the torso's centre of mass, m."""
+    torso_com_z: tuple[float, float] = (-0.02, 0.05)
+    action_delay_ms: tuple[float, float] = (0.0, 25.0)
+    """Delay of targets; counted in whole physics steps of 5 ms."""
+    redraw_share: float = 0.25
+    """Share of resets that draw new body figures (the others keep theirs): writing figures costs time."""
+
+    def __post_init__(self) -> None:
+        check_interval("randomisation.foot_friction", self.foot_friction, 0.01, 3.0)
+        check_interval("randomisation.kp_scale", self.kp_scale, 0.1, 3.0)
+        check_interval("randomisation.kd_scale", self.kd_scale, 0.1, 3.0)
+        check_interval("randomisation.torso_mass", self.torso_mass, -5.0, 15.0)
+        check_interval("randomisation.torso_com_x", self.torso_com_x, -0.2, 0.2)
+        check_interval("randomisation.torso_com_z", self.torso_com_z, -0.2, 0.2)
+        check_interval("randomisation.action_delay_ms", self.action_delay_ms, 0.0, 40.0)
+        check_range("randomisation.redraw_share", self.redraw_share, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class KickConfig:
+    """Sudden changes of the pelvis velocity in a random direction, which teach recovery from pushes."""
+
+    interval_s: tuple[float, float] = (2.0, 6.0)
+    speed: tuple[float, float] = (0.5, 1.2)
+    """Largest horizontal change, m/s: at the start and at the end of the curriculum."""
+    vertical: float = 0.2
+    """Largest vertical change, m/s."""
+    tilt_rate: float = 0.5
+    """Largest change of roll and pitch rate, rad/s."""
+    turn_rate: float = 0.6
+    """Largest change of yaw rate, rad/s."""
+
+    def __post_init__(self) -> None:
+        check_interval("kick.interval_s", self.interval_s, 0.02, 1e6)
+        check_interval("kick.speed", self.speed, 0.0, 5.0)
+        for name in ("vertical", "tilt_rate", "turn_rate"):
+            check_range(f"kick.{name}", getattr(self, name), 0.0, 5.0)
+
+
+@dataclass(frozen=True)
+class CurriculumConfig:
+    """Penalties and kicks start small and grow while episodes last."""
+
+    start: float = 0.1
+    """First level of the penalties; the last is 1."""
+    long_episode_steps: float = 500.0
+    """Mean episode length, in policy steps, above which the levels grow."""
+    penalty_growth: float = 0.002
+    """Growth of the penalty level per call, relative."""
+    kick_growth: float = 0.0005
+    """Growth of the kick level per call; it runs from 0 to 1."""
+
+    def __post_init__(self) -> None:
+        check_range("curriculum.start", self.start, 0.0, 1.0)
+        check_range("curriculum.long_episode_steps", self.long_episode_steps, 0.0, 1e6)
+        check_range("curriculum.penalty_growth", self.penalty_growth, 0.0, 1.0)
+        check_range("curriculum.kick_growth", self.kick_growth, 0.0, 1.0)
+
+
+DEFAULT_REWARDS: Mapping[str, float] = {
+    "track_velocity": 2.0,
+    "track_yaw_rate": 2.0,
+    "track_mean_velocity": 1.5,
+    "track_mean_yaw_rate": 1.0,
+    "alive": 0.5,
+    "foot_height": 3.0,
+    "foot_contact": 0.5,
+    "tilt": -5.0,
+    "pose": -0.3,
+    "tilt_rate": -0.15,
+    "vertical_speed": -0.5,
+    "action_rate": -0.015,
+    "action_jerk": -0.005,
+    "slip": -0.3,
+    "flat_foot": -1.0,
+    "joint_limit": -2.0,
+    "feet_apart": -2.0,
+    "rest": -0.5,
+    "effort": -0.1,
+}
+"""Weights per second. Negative terms are penalties, scaled by the curriculum."""
+
+
+@dataclass(frozen=True)
+class WalkConfig:
+    """The walking task: follow a velocity command at 50 Hz without falling."""
+
+    layout: str = "asimov-80"
+    """Observation layout of the actor."""
+    episode_s: float = 20.0
+    gait_frequency_hz: float = 1.5
+    standing_threshold: float = STANDING_THRESHOLD
+    action_scale: float = 0.25
+    """rad per unit of action."""
+    action_clip: float = 8.0
+    """Actions are clipped to plus and minus this."""
+    step_height: float = 0.08
+    """Peak height of the swinging foot above the ground, m."""
+    mean_velocity_s: float = 0.4
+    """Time constant of the averaged velocity in the mean tracking terms, s."""
+    command: CommandConfig = field(default_factory=CommandConfig)
+    noise: NoiseConfig = field(default_factory=NoiseConfig)
+    randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
+    kick: KickConfig = field(default_factory=KickConfig)
+    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
+    rewards: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_REWARDS))
+    """Weight of each reward term; a term without a weight is not computed."""
+
+    def __post_init__(self) -> None:
+        if self.layout not in LAYOUTS:
+            raise ValueError(f"layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}")
+        check_range("episode_s", self.episode_s, 0.02, 1e6)
+        check_range("gait_frequency_hz", self.gait_frequency_hz, 0.5, 4.0)
+        check_range("standing_threshold", self.standing_threshold, 0.0, 0.5)
+        check_range("action_scale", self.action_scale, 0.01, 2.0)
+        check_range("action_clip", self.action_clip, 0.1, 100.0)
+        check_range("step_height", self.step_height, 0.0, 0.3)
+        check_range("mean_velocity_s", self.mean_velocity_s, 0.02, 10.0)
+        from asimov_gym.tasks.walk.rewards import TERMS
+
+        unknown = sorted(set(self.rewards) - set(TERMS))
+        if unknown:
+            raise ValueError(f"rewards has unknown terms {unknown}; known terms: {', '.join(TERMS)}")
+        for name, weight in self.rewards.items():
+            check_range(f"rewards.{name}", weight, -1e3, 1e3)

@@ -1,0 +1,235 @@
+"""Reward terms of the walking task: plain functions of what happened in a step, each (N,) and without its weight.
+
+Velocities are in the heading frame. `Motion` gathers the quantities that several terms need.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+from asimov_gym.physics import Reading
+from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
+
+SOLE_DEPTH = 0.009
+"""The sole's lowest point below the foot site, m."""
+CONTACT_FORCE = 5.0
+"""A foot carries when the ground pushes it up with more than this, N."""
+
+# How far a joint may stray before the pose term costs a unit, rad: generous where walking needs it.
+_SPREAD = {"hip_pitch": 0.5, "knee": 0.5, "ankle_pitch": 0.3}
+_ARM_SPREAD = {"shoulder_pitch": 0.2, "elbow": 0.2}
+
+
+def _spread(joint: str) -> float:
+    name = joint.removesuffix("_joint").removeprefix("left_").removeprefix("right_")
+    if name in _SPREAD:
+        return _SPREAD[name]
+    if name in _ARM_SPREAD:
+        return _ARM_SPREAD[name]
+    return 0.1 if name.startswith(("shoulder", "wrist")) else 0.15
+
+
+_POLICY_SPREAD = np.array([_spread(JOINT_NAMES[i]) for i in POLICY_TO_JOINT])
+_POLICY_STAND = STAND_POSITION[POLICY_TO_JOINT]
+_MIDDLE, _HALF = RANGE.mean(axis=1), 0.5 * (RANGE[:, 1] - RANGE[:, 0])
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What a step did, for N copies."""
+
+    reading: Reading
+    velocity: Any
+    """Pelvis velocity, heading frame, (N, 3)."""
+    yaw_rate: Any
+    """(N,)."""
+    mean_velocity: Any
+    """Running mean of vx, vy and yaw rate, (N, 3)."""
+    foot_offset: Any
+    """Feet relative to the pelvis, heading frame, (N, 2, 3)."""
+    foot_height: Any
+    """Height of the soles above the ground, (N, 2)."""
+    contact: Any
+    """(N, 2), 1 where the foot carries."""
+    command: Any
+    """(N, 3)."""
+    moving: Any
+    """(N,), 1 where the command asks to walk."""
+    swing: Any
+    """Sine of each foot's phase while moving, 0 at rest, (N, 2); positive while it should swing."""
+    action: Any
+    """This step's action and the two before, (N, 3, 23), newest first."""
+    step_height: float
+
+
+def track_velocity(m: Motion) -> Any:
+    """Follow the commanded planar velocity."""
+    xp = array_namespace(m.velocity)
+    error = m.velocity[:, 0:2] - m.command[:, 0:2]
+    return xp.exp(-xp.sum(error * error, axis=-1) / 0.25)
+
+
+def track_yaw_rate(m: Motion) -> Any:
+    """Follow the commanded turning rate."""
+    xp = array_namespace(m.velocity)
+    error = m.yaw_rate - m.command[:, 2]
+    return xp.exp(-error * error / 0.25)
+
+
+def track_mean_velocity(m: Motion) -> Any:
+    """Follow the commanded planar velocity on average over a gait cycle, sharply."""
+    xp = array_namespace(m.velocity)
+    error = m.mean_velocity[:, 0:2] - m.command[:, 0:2]
+    return xp.exp(-xp.sum(error * error, axis=-1) / 0.02)
+
+
+def track_mean_yaw_rate(m: Motion) -> Any:
+    """Follow the commanded turning rate on average over a gait cycle, sharply."""
+    xp = array_namespace(m.velocity)
+    error = m.mean_velocity[:, 2] - m.command[:, 2]
+    return xp.exp(-error * error / 0.04)
+
+
+def alive(m: Motion) -> Any:
+    """One for every step not fallen."""
+    return array_namespace(m.velocity).ones_like(m.yaw_rate)
+
+
+def foot_height(m: Motion) -> Any:
+    """Lift each foot by its clock; keep both on the ground at rest."""
+    xp = array_namespace(m.velocity)
+    error = m.foot_height - m.step_height * xp.clip(m.swing, 0.0, 1.0)
+    return xp.exp(-xp.sum(error * error, axis=-1) / 0.004)
+
+
+def foot_contact(m: Motion) -> Any:
+    """Share of the feet whose contact agrees with the clock; at rest both should carry."""
+    xp = array_namespace(m.velocity)
+    wanted = xp.astype(m.swing <= 0.0, m.velocity.dtype)
+    return xp.mean(1.0 - xp.abs(m.contact - wanted), axis=-1)
+
+
+def tilt(m: Motion) -> Any:
+    """Squared sine of the pelvis' tilt."""
+    xp = array_namespace(m.velocity)
+    return xp.sum(m.reading.gravity[:, 0:2] ** 2, axis=-1)
+
+
+def pose(m: Motion) -> Any:
+    """Distance from the standing pose, each joint against its spread; less at rest."""
+    xp = array_namespace(m.velocity)
+    q = xp.take(m.reading.joint_position, xp.asarray(POLICY_TO_JOINT), axis=-1)
+    stray = (q - xp.asarray(_POLICY_STAND, dtype=q.dtype)) / xp.asarray(_POLICY_SPREAD, dtype=q.dtype)
+    return xp.mean(stray * stray, axis=-1) * (0.3 + 0.7 * m.moving)
+
+
+def tilt_rate(m: Motion) -> Any:
+    """Squared roll and pitch rate."""
+    xp = array_namespace(m.velocity)
+    return xp.sum(m.reading.gyro[:, 0:2] ** 2, axis=-1)
+
+
+def vertical_speed(m: Motion) -> Any:
+    """Squared vertical velocity of the pelvis."""
+    return m.velocity[:, 2] ** 2
+
+
+def action_rate(m: Motion) -> Any:
+    """Squared change of the action."""
+    xp = array_namespace(m.velocity)
+    return xp.sum((m.action[:, 0] - m.action[:, 1]) ** 2, axis=-1)
+
+
+def action_jerk(m: Motion) -> Any:
+    """Squared second difference of the action."""
+    xp = array_namespace(m.velocity)
+    return xp.sum((m.action[:, 0] - 2.0 * m.action[:, 1] + m.action[:, 2]) ** 2, axis=-1)
+
+
+def slip(m: Motion) -> Any:
+    """Squared horizontal speed of carrying feet."""
+    xp = array_namespace(m.velocity)
+    speed = xp.sum(m.reading.foot_velocity[:, :, 0:2] ** 2, axis=-1)
+    return xp.sum(speed * m.contact, axis=-1)
+
+
+def flat_foot(m: Motion) -> Any:
+    """Squared tilt of the soles."""
+    xp = array_namespace(m.velocity)
+    return xp.sum(m.reading.foot_up[:, :, 0:2] ** 2, axis=(1, 2))
+
+
+def joint_limit(m: Motion) -> Any:
+    """How far joints reach beyond 90 % of their range, rad, summed."""
+    xp = array_namespace(m.velocity)
+    q = m.reading.joint_position
+    reach = xp.abs(q - xp.asarray(_MIDDLE, dtype=q.dtype)) - xp.asarray(0.9 * _HALF, dtype=q.dtype)
+    return xp.sum(xp.clip(reach, 0.0, None), axis=-1)
+
+
+def feet_apart(m: Motion) -> Any:
+    """How much closer than 0.16 m the feet are to each other sideways, in units of 5 cm."""
+    xp = array_namespace(m.velocity)
+    gap = m.foot_offset[:, 0, 1] - m.foot_offset[:, 1, 1]
+    return xp.clip(0.16 - gap, 0.0, 0.3) / 0.05
+
+
+def rest(m: Motion) -> Any:
+    """Mean squared joint speed while asked to stand."""
+    xp = array_namespace(m.velocity)
+    return xp.mean(m.reading.joint_velocity**2, axis=-1) * (1.0 - m.moving)
+
+
+def effort(m: Motion) -> Any:
+    """Mean squared torque as a share of the joint's limit."""
+    xp = array_namespace(m.velocity)
+    share = m.reading.joint_torque / xp.asarray(EFFORT, dtype=m.reading.joint_torque.dtype)
+    return xp.mean(share * share, axis=-1)
+
+
+TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
+    {
+        term.__name__: term
+        for term in (
+            track_velocity,
+            track_yaw_rate,
+            track_mean_velocity,
+            track_mean_yaw_rate,
+            alive,
+            foot_height,
+            foot_contact,
+            tilt,
+            pose,
+            tilt_rate,
+            vertical_speed,
+            action_rate,
+            action_jerk,
+            slip,
+            flat_foot,
+            joint_limit,
+            feet_apart,
+            rest,
+            effort,
+        )
+    }
+)
+"""All terms by name."""
+
+
+def total(m: Motion, weights: Mapping[str, float], penalty_level: Any, dt: float) -> tuple[Any, dict[str, Any]]:
+    """Reward of a step, (N,), and each term's weighted share of it per second, (N,) each.
+
+    The sum is floored at zero, so that a hard-pressed robot never gains by falling early.
+    """
+    xp = array_namespace(m.velocity)
+    shares = {}
+    for name, weight in weights.items():
+        scale = weight * penalty_level if weight < 0.0 else weight
+        shares[name] = TERMS[name](m) * scale
+    return xp.clip(sum(shares.values()), 0.0, None) * dt, shares

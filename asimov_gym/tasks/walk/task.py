@@ -1,0 +1,350 @@
+"""The walking task: state, commands, observations, reward and termination as pure functions of batched arrays.
+
+Nothing here draws random numbers: draws come in as uniform numbers in [0, 1), so the same functions run on any array
+library and a recorded rollout can be replayed elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from array_api_compat import array_namespace
+
+from asimov_gym.physics import DECIMATION, TIMESTEP, BodyParameters, Reading, delayed_position
+from asimov_gym.robot import frames, gait_clock, mirror
+from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
+from asimov_gym.robot.observation import ObservationLayout, observation_layout
+from asimov_gym.tasks.walk import rewards
+from asimov_gym.tasks.walk.config import WalkConfig
+
+DT = TIMESTEP * DECIMATION
+"""Policy step, s."""
+FALL_GRAVITY_Z = -0.5
+"""A fall: the body-frame gravity's z rises above this (tilt beyond 60 degrees) ..."""
+FALL_HEIGHT = 0.35
+"""... or the pelvis sinks below this, m."""
+_WEIGHT = 316.0
+"""The robot's weight, N; scale of contact forces for the critic."""
+_JOINTS, _ACTIONS = len(JOINT_NAMES), len(POLICY_JOINT_NAMES)
+_TO_POLICY = np.full(_JOINTS, -1)
+_TO_POLICY[POLICY_TO_JOINT] = np.arange(_ACTIONS)
+_HELD = _TO_POLICY < 0
+
+SENSOR_DRAWS = 3 + 3 + 2 * _JOINTS
+"""Uniform numbers per copy that `sense` needs."""
+COMMAND_DRAWS = 6
+"""Uniform numbers per copy that `draw_command` needs."""
+KICK_DRAWS = 7
+"""Uniform numbers per copy that `draw_kick` needs."""
+RESET_DRAWS = 2 + _JOINTS + COMMAND_DRAWS + 2
+"""Uniform numbers per copy that `initial_state` needs."""
+BODY_DRAWS = 4 + 2 * _JOINTS
+"""Uniform numbers per copy that `draw_body` needs."""
+POSE_DRAWS = 5 + _JOINTS + 6
+"""Uniform numbers per copy that `initial_pose` needs."""
+
+
+@dataclass(frozen=True)
+class WalkState:
+    """What the task remembers of each copy."""
+
+    step: Any
+    """Policy steps since reset, (N,)."""
+    command: Any
+    """(N, 3)."""
+    command_left: Any
+    """Policy steps until the next command, (N,)."""
+    kick_left: Any
+    """Policy steps until the next kick, (N,)."""
+    phase: Any
+    """Gait clock of the left foot, rad, (N,)."""
+    action: Any
+    """Clipped actions, newest first, (N, 3, 23)."""
+    delay: Any
+    """Action delay in physics steps, (N,) int."""
+    joint_zero: Any
+    """Encoder offsets, (N, 25)."""
+    mean_velocity: Any
+    """Running mean of vx, vy, yaw rate in the heading frame, (N, 3)."""
+
+
+def _between(draw: Any, interval: tuple[float, float]) -> Any:
+    return interval[0] + (interval[1] - interval[0]) * draw
+
+
+class WalkTask:
+    """The walking task under a configuration."""
+
+    def __init__(self, config: WalkConfig | None = None) -> None:
+        self.config = WalkConfig() if config is None else config
+        self.episode_steps = max(1, round(self.config.episode_s / DT))
+
+    @cached_property
+    def layout(self) -> ObservationLayout:
+        """Layout of the actor's observation."""
+        return observation_layout(self.config.layout)
+
+    # -- start ---------------------------------------------------------------------------------------------------------
+
+    def initial_pose(self, draws: Any) -> tuple[Any, Any, Any, Any]:
+        """A disturbed standing pose from draws (N, POSE_DRAWS).
+
+        Returns:
+            Joint positions (N, 25), pelvis height (N,), pelvis orientation (N, 4), pelvis velocity and rates (N, 6).
+        """
+        xp = array_namespace(draws)
+        centred = 2.0 * draws - 1.0
+        yaw = math.pi * centred[:, 0]
+        roll, pitch = 0.1 * centred[:, 1], 0.15 * centred[:, 2]
+        quat = _from_euler(roll, pitch, yaw)
+        joints = xp.asarray(STAND_POSITION, dtype=draws.dtype) + 0.1 * centred[:, 5 : 5 + _JOINTS]
+        joints = xp.clip(joints, xp.asarray(RANGE[:, 0], dtype=draws.dtype), xp.asarray(RANGE[:, 1], dtype=draws.dtype))
+        height = 0.63 + 0.02 * draws[:, 3] + 0.12 * (xp.abs(roll) + xp.abs(pitch))
+        velocity = 0.3 * centred[:, 5 + _JOINTS :]
+        return joints, height, quat, velocity
+
+    def initial_state(self, draws: Any) -> WalkState:
+        """Task state of fresh copies from draws (N, RESET_DRAWS)."""
+        xp = array_namespace(draws)
+        n, dtype, c = draws.shape[0], draws.dtype, self.config
+        zeros = xp.zeros(n, dtype=dtype)
+        steps = xp.asarray([c.randomisation.action_delay_ms[i] / (1000.0 * TIMESTEP) for i in (0, 1)], dtype=dtype)
+        low, high = xp.round(steps[0]), xp.round(steps[1])
+        delay = xp.astype(xp.floor(low + (high - low + 0.999) * draws[:, 0]), xp.int64)
+        command, left = self.draw_command(draws[:, 2 + _JOINTS : 2 + _JOINTS + COMMAND_DRAWS])
+        return WalkState(
+            step=xp.zeros(n, dtype=xp.int64),
+            command=command,
+            command_left=left,
+            kick_left=self._steps(_between(draws[:, -2], c.kick.interval_s)),
+            phase=xp.where(draws[:, 1] < 0.5, zeros, zeros + math.pi),
+            action=xp.zeros((n, 3, _ACTIONS), dtype=dtype),
+            delay=delay,
+            joint_zero=c.noise.joint_zero * (2.0 * draws[:, 2 : 2 + _JOINTS] - 1.0),
+            mean_velocity=xp.zeros((n, 3), dtype=dtype),
+        )
+
+    def draw_command(self, draws: Any) -> tuple[Any, Any]:
+        """Velocity commands (N, 3) and their lifetimes in policy steps (N,), from draws (N, COMMAND_DRAWS)."""
+        xp = array_namespace(draws)
+        c = self.config.command
+        axes = (c.vx, c.vy, c.wz)
+        command = xp.stack([_between(draws[:, i], axis) for i, axis in enumerate(axes)], axis=-1)
+        standing = draws[:, 3] < c.standing_share
+        single = draws[:, 3] > 1.0 - c.single_axis_share
+        axis = xp.floor(3.0 * draws[:, 4])
+        kept = xp.arange(3, dtype=draws.dtype)[None, :] == axis[:, None]
+        command = xp.where(single[:, None] & ~kept, xp.zeros_like(command), command)
+        command = xp.where(standing[:, None], xp.zeros_like(command), command)
+        return command, self._steps(_between(draws[:, 5], c.interval_s))
+
+    def draw_body(self, draws: Any) -> BodyParameters:
+        """Body figures (N rows) from draws (N, BODY_DRAWS)."""
+        xp = array_namespace(draws)
+        r = self.config.randomisation
+        com = xp.stack(
+            [_between(draws[:, 2], r.torso_com_x), 0.0 * draws[:, 2], _between(draws[:, 3], r.torso_com_z)], axis=-1
+        )
+        return BodyParameters(
+            foot_friction=_between(draws[:, 0], r.foot_friction),
+            torso_mass=_between(draws[:, 1], r.torso_mass),
+            torso_com=com,
+            kp_scale=_between(draws[:, 4 : 4 + _JOINTS], r.kp_scale),
+            kd_scale=_between(draws[:, 4 + _JOINTS :], r.kd_scale),
+        )
+
+    def draw_kick(self, draws: Any, level: Any) -> tuple[Any, Any]:
+        """Changes of the pelvis velocity (N, 6) and steps until the next kick (N,), from draws (N, KICK_DRAWS).
+
+        Args:
+            level: place in the curriculum, 0 to 1.
+        """
+        xp = array_namespace(draws)
+        k = self.config.kick
+        largest = k.speed[0] + (k.speed[1] - k.speed[0]) * level
+        angle = 2.0 * math.pi * draws[:, 0]
+        speed = largest * draws[:, 1]
+        centred = 2.0 * draws - 1.0
+        kick = xp.stack(
+            [
+                speed * xp.cos(angle),
+                speed * xp.sin(angle),
+                k.vertical * centred[:, 2],
+                k.tilt_rate * centred[:, 3],
+                k.tilt_rate * centred[:, 4],
+                k.turn_rate * centred[:, 5],
+            ],
+            axis=-1,
+        )
+        return kick, self._steps(_between(draws[:, 6], k.interval_s))
+
+    def _steps(self, seconds: Any) -> Any:
+        xp = array_namespace(seconds)
+        return xp.astype(xp.round(seconds / DT), xp.int64)
+
+    # -- a step --------------------------------------------------------------------------------------------------------
+
+    def clip_action(self, action: Any) -> Any:
+        """Action within its bounds, (N, 23)."""
+        return array_namespace(action).clip(action, -self.config.action_clip, self.config.action_clip)
+
+    def targets(self, state: WalkState) -> Any:
+        """Joint targets for each physics step, (N, DECIMATION, 25): the state's actions, late by its delay.
+
+        The neck is held at its standing pose; targets stay within the joints' ranges.
+        """
+        xp = array_namespace(state.action)
+        dtype = state.action.dtype
+        offset = self.config.action_scale * xp.take(state.action, xp.asarray(np.maximum(_TO_POLICY, 0)), axis=-1)
+        offset = xp.where(xp.asarray(_HELD), xp.zeros_like(offset), offset)
+        target = xp.asarray(STAND_POSITION, dtype=dtype) + offset
+        target = xp.clip(target, xp.asarray(RANGE[:, 0], dtype=dtype), xp.asarray(RANGE[:, 1], dtype=dtype))
+        return delayed_position(target, state.delay, DECIMATION)
+
+    def push_action(self, state: WalkState, action: Any) -> WalkState:
+        """State with a new clipped action (N, 23) in front."""
+        xp = array_namespace(action)
+        return replace(state, action=xp.concat([action[:, None, :], state.action[:, :2]], axis=1))
+
+    def motion(self, state: WalkState, reading: Reading) -> tuple[WalkState, rewards.Motion]:
+        """What the step did; the state with its running means updated. The clock is still this step's."""
+        xp = array_namespace(reading.gyro)
+        angle = frames.heading(reading.base_quat)
+        velocity = frames.to_heading(angle, reading.base_velocity)
+        turning = frames.yaw_rate(reading.gravity, reading.gyro)
+        now = xp.concat([velocity[:, 0:2], turning[:, None]], axis=-1)
+        mean = state.mean_velocity + (now - state.mean_velocity) * (DT / self.config.mean_velocity_s)
+        moving = gait_clock.is_moving(state.command, self.config.standing_threshold)
+        walking = xp.astype(moving, velocity.dtype)
+        sine = xp.sin(state.phase) * walking
+        offset = reading.foot_position - reading.base_position[:, None, :]
+        motion = rewards.Motion(
+            reading=reading,
+            velocity=velocity,
+            yaw_rate=turning,
+            mean_velocity=mean,
+            foot_offset=frames.to_heading(angle[:, None], offset),
+            foot_height=reading.foot_position[:, :, 2] - rewards.SOLE_DEPTH,
+            contact=xp.astype(reading.foot_force[:, :, 2] > rewards.CONTACT_FORCE, velocity.dtype),
+            command=state.command,
+            moving=walking,
+            swing=xp.stack([sine, -sine], axis=-1),
+            action=state.action,
+            step_height=self.config.step_height,
+        )
+        return replace(state, mean_velocity=mean), motion
+
+    def reward(self, motion: rewards.Motion, penalty_level: Any = 1.0) -> tuple[Any, dict[str, Any]]:
+        """Reward of the step (N,) and the share of each term per second."""
+        return rewards.total(motion, self.config.rewards, penalty_level, DT)
+
+    def fallen(self, reading: Reading) -> Any:
+        """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m."""
+        return (reading.gravity[:, 2] > FALL_GRAVITY_Z) | (reading.base_position[:, 2] < FALL_HEIGHT)
+
+    def advance(self, state: WalkState, command_draws: Any) -> WalkState:
+        """State for the next step: clocks run, commands whose time is up are drawn anew."""
+        xp = array_namespace(state.phase)
+        moving = gait_clock.is_moving(state.command, self.config.standing_threshold)
+        phase = gait_clock.advance(state.phase, moving, self.config.gait_frequency_hz, DT)
+        fresh, lifetime = self.draw_command(command_draws)
+        due = state.command_left <= 1
+        return replace(
+            state,
+            step=state.step + 1,
+            phase=phase,
+            command=xp.where(due[:, None], fresh, state.command),
+            command_left=xp.where(due, lifetime, state.command_left - 1),
+            kick_left=state.kick_left - 1,
+        )
+
+    # -- what learners see ---------------------------------------------------------------------------------------------
+
+    def clock(self, state: WalkState) -> Any:
+        """The clock's signal, (N, 2)."""
+        return gait_clock.signal(state.phase, gait_clock.is_moving(state.command, self.config.standing_threshold))
+
+    def observe(self, state: WalkState, reading: Reading, draws: Any | None = None) -> Any:
+        """The actor's observation, (N, width); noisy with draws (N, SENSOR_DRAWS), clean without."""
+        gyro, gravity = reading.gyro, reading.gravity
+        position, velocity = reading.joint_position + state.joint_zero, reading.joint_velocity
+        if draws is not None:
+            n, u = self.config.noise, 2.0 * draws - 1.0
+            gyro = gyro + n.gyro * u[:, 0:3]
+            gravity = gravity + n.gravity * u[:, 3:6]
+            position = position + n.joint_position * u[:, 6 : 6 + _JOINTS]
+            velocity = velocity + n.joint_velocity * u[:, 6 + _JOINTS :]
+        return self.layout.observe(
+            gyro=gyro,
+            gravity=gravity,
+            command=state.command,
+            joint_position=position,
+            joint_velocity=velocity,
+            action=state.action[:, 0],
+            clock=self.clock(state),
+        )
+
+    def privilege(self, state: WalkState, reading: Reading, body: BodyParameters) -> Any:
+        """The critic's observation, (N, privileged_width): the clean actor view and what only a simulator knows."""
+        xp = array_namespace(reading.gyro)
+        clean = self.observe(replace(state, joint_zero=xp.zeros_like(state.joint_zero)), reading)
+        clean = clean if self.layout.has_clock else xp.concat([clean, self.clock(state)], axis=-1)
+        angle = frames.heading(reading.base_quat)
+        velocity = frames.to_heading(angle, reading.base_velocity)
+        force = reading.foot_force[:, :, 2] / _WEIGHT
+        assert body.foot_friction is not None and body.torso_mass is not None
+        extra = [
+            velocity,
+            10.0 * (reading.base_position[:, 2:3] - 0.6),
+            state.mean_velocity - state.command,
+            10.0 * (reading.foot_position[:, :, 2] - rewards.SOLE_DEPTH),
+            force,
+            reading.foot_velocity[:, :, 2],
+            body.foot_friction[:, None],
+            body.torso_mass[:, None],
+            state.delay[:, None],
+        ]
+        return xp.concat([clean, *(xp.astype(block, xp.float32) for block in extra)], axis=-1)
+
+    @cached_property
+    def privileged_mirror(self) -> mirror.Mirror:
+        """Mirror of the critic's observation."""
+        layout = observation_layout("asimov-80")
+        swap = mirror.Mirror(np.array([1, 0]), np.ones(2))
+        return mirror.join(
+            [
+                layout.mirror,
+                mirror.mirror_polar,
+                mirror.signs_mirror(1.0),
+                mirror.mirror_command,
+                swap,
+                swap,
+                swap,
+                mirror.signs_mirror(1.0, 1.0, 1.0),
+            ]
+        )
+
+    @property
+    def privileged_width(self) -> int:
+        return self.privileged_mirror.size
+
+
+def _from_euler(roll: Any, pitch: Any, yaw: Any) -> Any:
+    """Quaternions (N, 4) of a turn by yaw, then pitch, then roll."""
+    xp = array_namespace(roll)
+    cr, sr = xp.cos(0.5 * roll), xp.sin(0.5 * roll)
+    cp, sp = xp.cos(0.5 * pitch), xp.sin(0.5 * pitch)
+    cy, sy = xp.cos(0.5 * yaw), xp.sin(0.5 * yaw)
+    return xp.stack(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ],
+        axis=-1,
+    )

@@ -1,0 +1,106 @@
+"""`python -m train ppo | resume | export`: make the MOVE/POLICY network."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+_MISSING = (
+    "Training needs the extra packages of `asimov-gym[train]`, and {name!r} is not installed.\n"
+    "Install them with:  pip install 'asimov-gym[train]'   (in a checkout: pip install -e '.[train]', or `make train`)"
+)
+
+
+@dataclass(frozen=True)
+class Resume:
+    """Continue a run from its newest checkpoint."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """Export a run's newest checkpoint as ONNX, checked against the network on a thousand observations."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run."""
+    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
+    """File to write; `policy.onnx` in the run's folder when omitted."""
+
+
+def _ppo(arguments: list[str]) -> int:
+    """Train a walking policy with PPO."""
+    from train.config import PpoConfig, load_preset, preset_names
+    from train.session import resume_run, start_run
+
+    @dataclass(frozen=True)
+    class Start:
+        """Where to put the run and what to start from."""
+
+        preset: str = "laptop"
+        """Preset whose values are the defaults of all other flags."""
+        resume: Path | None = None
+        """Continue this run instead; other flags are ignored."""
+        runs: Path = Path("runs")
+        """Folder that holds the runs."""
+        name: str | None = None
+        """Name of the run; the preset's when omitted."""
+
+    wants_help = bool({"-h", "--help"} & set(arguments))
+    start, rest = tyro.cli(Start, args=[a for a in arguments if a not in ("-h", "--help")], return_unknown_args=True)
+    if start.resume is not None:
+        return resume_run(start.resume)
+    preset = load_preset(start.preset)
+    if wants_help:
+        print(f"Presets: {', '.join(preset_names())} (--preset NAME). Run: --name NAME, --runs DIR, --resume RUN.\n")
+    config = tyro.cli(PpoConfig, args=[*rest, *(["--help"] if wants_help else [])], default=preset, prog="python -m train ppo")
+    return start_run(config, start.runs, start.name or start.preset)
+
+
+def _resume(arguments: list[str]) -> int:
+    from train.session import resume_run
+
+    return resume_run(tyro.cli(Resume, args=arguments, prog="python -m train resume").run)
+
+
+def _export(arguments: list[str]) -> int:
+    from train.session import export_run
+
+    export = tyro.cli(Export, args=arguments, prog="python -m train export")
+    return export_run(export.run, export.output)
+
+
+_COMMANDS = {"ppo": _ppo, "resume": _resume, "export": _export}
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command and return its exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print("usage: python -m train {ppo,resume,export} [flags]\n")
+        print("  ppo     train a walking policy (see: python -m train ppo --help)")
+        print("  resume  continue a run from its newest checkpoint")
+        print("  export  write a run's network as ONNX")
+        return 0 if arguments else 2
+    if arguments[0] not in _COMMANDS:
+        print(f"unknown command {arguments[0]!r}; known commands: {', '.join(_COMMANDS)}", file=sys.stderr)
+        return 2
+    try:
+        return _COMMANDS[arguments[0]](arguments[1:])
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] in ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx", "onnxscript"):
+            print(_MISSING.format(name=error.name), file=sys.stderr)
+            return 2
+        raise
+    except (ValueError, FileNotFoundError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,106 @@
+"""Settings of a training run; presets are YAML files of this shape in `configs/train`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from asimov_gym.assets import config_path
+from asimov_gym.physics import PROFILES
+from asimov_gym.presets import load
+from asimov_gym.tasks.walk import WalkConfig
+
+
+@dataclass(frozen=True)
+class LearnerConfig:
+    """Proximal policy optimisation."""
+
+    hidden: tuple[int, ...] = (256, 128, 128)
+    """Widths of the hidden layers of actor and critic."""
+    initial_std: float = 1.0
+    """Standard deviation of exploration at the start, in action units. Half of it learns to stand and never to step."""
+    steps: int = 24
+    """Policy steps of each copy per update."""
+    epochs: int = 4
+    minibatches: int = 4
+    gamma: float = 0.985
+    lam: float = 0.95
+    learning_rate: float = 1e-3
+    """First learning rate; it adapts to `desired_kl`."""
+    desired_kl: float = 0.012
+    clip: float = 0.2
+    entropy_samples: tuple[float, ...] = (3.0e6, 4.0e6)
+    """Samples between which the entropy bonus falls."""
+    entropy: tuple[float, float] = (0.006, 0.001)
+    """Entropy bonus before and after."""
+    mirror: bool = True
+    """Replace half of every minibatch, drawn at random, by its left-right mirror image."""
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "epochs", "minibatches"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"learner.{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("gamma", "lam"):
+            if not 0.0 < getattr(self, name) <= 1.0:
+                raise ValueError(f"learner.{name} must lie in (0, 1], got {getattr(self, name)}")
+        for name in ("initial_std", "learning_rate", "desired_kl", "clip"):
+            if not 0.0 < getattr(self, name) < 100.0:
+                raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
+        if not self.hidden or min(self.hidden) < 1:
+            raise ValueError(f"learner.hidden must hold positive widths, got {self.hidden}")
+        if len(self.entropy_samples) != 2 or not 0 <= self.entropy_samples[0] < self.entropy_samples[1]:
+            raise ValueError(f"learner.entropy_samples must be two ascending numbers, got {self.entropy_samples}")
+
+    def entropy_at(self, samples: int) -> float:
+        """Entropy bonus after so many samples."""
+        first, last = self.entropy_samples
+        share = min(1.0, max(0.0, (samples - first) / (last - first)))
+        return self.entropy[0] + share * (self.entropy[1] - self.entropy[0])
+
+
+@dataclass(frozen=True)
+class PpoConfig:
+    """A training run of the walking policy."""
+
+    samples: int = 25_000_000
+    """Environment steps in all."""
+    copies: int = 768
+    """Robots simulated together."""
+    profile: str = "training"
+    """Physics profile."""
+    threads: int | None = None
+    """Physics threads; the machine's cores when omitted."""
+    seed: int = 1
+    checkpoint_s: float = 120.0
+    """Seconds between checkpoints."""
+    keep_checkpoints: int = 3
+    """Checkpoints to keep; the newest and, always, the last."""
+    walk: WalkConfig = field(default_factory=WalkConfig)
+    learner: LearnerConfig = field(default_factory=LearnerConfig)
+
+    def __post_init__(self) -> None:
+        if self.samples < 1:
+            raise ValueError(f"samples must be at least 1, got {self.samples}")
+        if self.copies < self.learner.minibatches:
+            raise ValueError(f"copies must be at least learner.minibatches = {self.learner.minibatches}, got {self.copies}")
+        if self.profile not in PROFILES:
+            raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
+        if self.checkpoint_s <= 0.0:
+            raise ValueError(f"checkpoint_s must be positive, got {self.checkpoint_s}")
+        if self.keep_checkpoints < 1:
+            raise ValueError(f"keep_checkpoints must be at least 1, got {self.keep_checkpoints}")
+
+
+def preset_names() -> list[str]:
+    """Names of the shipped presets."""
+    return sorted(path.stem for path in config_path("train").glob("*.yaml"))
+
+
+def load_preset(name: str) -> PpoConfig:
+    """A shipped preset by name.
+
+    Raises:
+        ValueError: no such preset; the message lists the known ones.
+    """
+    if name not in preset_names():
+        raise ValueError(f"preset {name!r} is unknown; known presets: {', '.join(preset_names())}")
+    return load(PpoConfig, config_path("train", f"{name}.yaml"))
