@@ -28,12 +28,12 @@ class LearnerConfig:
     """First learning rate; it adapts to `desired_kl`."""
     desired_kl: float = 0.012
     clip: float = 0.2
-    entropy_samples: tuple[float, ...] = (3.0e6, 4.0e6)
+    entropy_samples: tuple[float, ...] = (3.5e6, 5.0e6)
     """Samples between which the entropy bonus falls."""
     entropy: tuple[float, float] = (0.006, 0.001)
     """Entropy bonus before and after."""
     mirror: bool = True
-    """Replace half of every minibatch, drawn at random, by its left-right mirror image."""
+    """Replace a random half of the samples by their left-right mirror images."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "epochs", "minibatches"):

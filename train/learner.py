@@ -18,38 +18,33 @@ from train.config import LearnerConfig
 
 
 class MirrorSamples:
-    """Teaches left and right alike: a random half of each minibatch is replaced by its mirror image.
+    """Teaches left and right alike: before each update a random half of the collected samples becomes its mirror image.
 
-    It takes the place of rsl-rl's symmetry extension, which doubles each minibatch and so the cost of learning.
+    The mirrored samples are treated as drawn from the present policy: their likelihood, distribution and value are
+    computed anew. (Kept from the original sample, they would count as a large step of the policy while its networks are
+    not yet symmetric, and the adaptive learning rate would collapse.) Doubling the samples instead, as rsl-rl's symmetry
+    extension does, also doubles the cost of learning.
     """
-
-    use_mirror_loss = False
 
     def __init__(self, actor_view: Mirror, critic_view: Mirror) -> None:
         self._actor, self._critic, self._action = map(_TorchMirror, (actor_view, critic_view, mirror_policy))
 
-    def augment_batch(self, batch: RolloutStorage.Batch, original_batch_size: int) -> None:
-        """Mirror about half of the rows, in observations, actions and the old distribution alike."""
-        flip = torch.rand(original_batch_size, 1) < 0.5
-        views = batch.observations
-        assert views is not None and batch.actions is not None and batch.old_distribution_params is not None
-        batch.observations = TensorDict(
-            {
-                "actor": torch.where(flip, self._actor(views["actor"]), views["actor"]),
-                "critic": torch.where(flip, self._critic(views["critic"]), views["critic"]),
-            },
-            batch_size=views.batch_size,
-        )
-        batch.actions = torch.where(flip, self._action(batch.actions), batch.actions)
-        mean, std = batch.old_distribution_params
-        batch.old_distribution_params = (
-            torch.where(flip, self._action(mean), mean),
-            torch.where(flip, self._action.permute(std), std),
-        )
-
-    def compute_loss(self, actor: MLPModel, batch: RolloutStorage.Batch, original_batch_size: int) -> torch.Tensor:
-        """No extra loss: the mirrored samples do the work."""
-        return torch.zeros(())
+    @torch.no_grad()
+    def __call__(self, algorithm: PPO) -> None:
+        """Mirror about half of the algorithm's storage, in place; to be called after the returns are known."""
+        storage: RolloutStorage = algorithm.storage
+        flip = torch.rand(storage.rewards.shape) < 0.5
+        views = storage.observations
+        for name, mirror in (("actor", self._actor), ("critic", self._critic)):
+            views[name].copy_(torch.where(flip, mirror(views[name]), views[name]))
+        storage.actions.copy_(torch.where(flip, self._action(storage.actions), storage.actions))
+        flat, actions = views.flatten(0, 1), storage.actions.flatten(0, 1)
+        shape = storage.rewards.shape
+        algorithm.actor(flat, stochastic_output=True)
+        storage.actions_log_prob.copy_(algorithm.actor.get_output_log_prob(actions).view(shape))
+        fresh = algorithm.actor.output_distribution_params
+        storage.distribution_params = tuple(p.reshape(*shape[:2], -1).clone() for p in fresh)
+        storage.values.copy_(algorithm.critic(flat).view(shape))
 
 
 class _TorchMirror:
@@ -58,11 +53,7 @@ class _TorchMirror:
         self._signs = torch.as_tensor(mirror.signs, dtype=torch.float32)
 
     def __call__(self, rows: torch.Tensor) -> torch.Tensor:
-        return rows[:, self._indices] * self._signs
-
-    def permute(self, rows: torch.Tensor) -> torch.Tensor:
-        """Swap the entries without changing signs, as deviations need."""
-        return rows[:, self._indices]
+        return rows[..., self._indices] * self._signs
 
 
 def views(observation: np.ndarray, privileged: np.ndarray) -> TensorDict:
@@ -108,7 +99,5 @@ def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict)
         },
     }
     algorithm = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, "cpu")  # type: ignore[arg-type]
-    if config.mirror:
-        algorithm.symmetry = MirrorSamples(batch.task.layout.mirror, batch.task.privileged_mirror)  # type: ignore[assignment]
     algorithm.train_mode()
     return algorithm

@@ -18,10 +18,10 @@ from torch.utils.tensorboard import SummaryWriter
 
 from asimov_gym.envs.walk_batch import WalkBatch, WalkStep
 from train.config import PpoConfig
-from train.learner import build_ppo, views
+from train.learner import MirrorSamples, build_ppo, views
 from train.run_folder import RunFolder
 
-_console = Console()
+_console = Console(soft_wrap=True)
 
 
 @dataclass
@@ -73,8 +73,11 @@ class Trainer:
             stagger=True,
             dump_dir=folder.path / "diverged",
         )
-        self.observations = views(*self.batch._observe())
+        self.observations = views(*self.batch.reset())
         self.ppo = build_ppo(self.batch, config.learner, self.observations)
+        task = self.batch.task
+        mirror = MirrorSamples(task.layout.mirror, task.privileged_mirror)
+        self.mirror = mirror if config.learner.mirror else None
         self.progress = Progress()
 
     def resume(self) -> None:
@@ -82,7 +85,8 @@ class Trainer:
         state = self.folder.load_checkpoint()
         self.ppo.load(state["learner"], None, True)
         self.progress = Progress(**state["progress"])
-        self.observations = views(*self.batch.restore(state["batch"]))
+        self.batch.restore(state["batch"])
+        self.observations = state["observations"]
         torch.set_rng_state(state["torch_rng"])
 
     def save(self) -> Path:
@@ -91,6 +95,7 @@ class Trainer:
             "learner": self.ppo.save(),
             "progress": vars(self.progress),
             "batch": self.batch.snapshot(),
+            "observations": self.observations,
             "torch_rng": torch.get_rng_state(),
         }
         return self.folder.save_checkpoint(self.progress.samples, state, self.config.keep_checkpoints)
@@ -136,6 +141,8 @@ class Trainer:
                 _collect(figures, step, self.batch)
             collected = time.monotonic()
             self.ppo.compute_returns(self.observations)
+        if self.mirror is not None:
+            self.mirror(self.ppo)
         self.ppo.entropy_coef = self.config.learner.entropy_at(self.progress.samples)
         losses = self.ppo.update()
         self.progress.iteration += 1
@@ -144,7 +151,7 @@ class Trainer:
         result |= {f"loss/{name}": float(value) for name, value in losses.items()}
         curriculum = self.batch.curriculum
         result |= {
-            "policy/std": float(self.ppo.get_policy().output_std.mean()),
+            "policy/std": float(self.ppo.get_policy().output_std.detach().mean()),
             "policy/learning_rate": self.ppo.learning_rate,
             "episode/length_s": curriculum.mean_length * 0.02,
             "curriculum/penalty": curriculum.penalty,

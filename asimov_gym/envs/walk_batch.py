@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile, Reading
-from asimov_gym.robot.joints import POLICY_JOINT_NAMES
+from asimov_gym.envs.streams import CopyStreams
+from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile, PhysicsState, Reading
+from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask
 from asimov_gym.tasks.walk import task as walk
 
 _ACTIONS = len(POLICY_JOINT_NAMES)
+_FOREVER = np.iinfo(np.int64).max // 2
+"""Steps left of a command that is never drawn anew."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ class WalkBatch:
         first = self.config.curriculum.start if curriculum else 1.0
         self.curriculum = Curriculum(penalty=first, kick=0.0 if curriculum else 1.0, mean_length=0.0)
         self.rng = np.random.default_rng(seed)
+        self._streams: CopyStreams | None = None
         self.body = _nominal_body(copies)
         self._body_drawn = np.zeros(copies, dtype=bool)
         self.state: WalkState
@@ -117,6 +122,7 @@ class WalkBatch:
         """
         if seed is not None:
             self.rng = np.random.default_rng(seed)
+            self._streams = None
             self._body_drawn[:] = False
         self.state = self.task.initial_state(self._draw(walk.RESET_DRAWS))
         self._start(np.ones(self.copies, dtype=bool))
@@ -126,16 +132,46 @@ class WalkBatch:
         self.reading = self.physics.read().astype(np.float32)
         return self._observe()
 
+    def seed_copies(self, seeds: Sequence[int]) -> None:
+        """Give each copy a random stream of its own: from its next start on, copy i does what a batch of one does with
+        seed i. `snapshot` does not cover such streams.
+
+        Raises:
+            ValueError: the number of seeds is not that of the copies.
+        """
+        if len(seeds) != self.copies:
+            raise ValueError(f"seeds must be {self.copies} numbers, one for each copy, got {len(seeds)}")
+        self._streams = CopyStreams(seeds)
+        self._body_drawn[:] = False
+
+    def restart(self, which: np.ndarray, command: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Start the next episode of some copies.
+
+        Args:
+            which: mask of the copies, (N,) bool.
+            command: velocity command to keep for the whole episode, (N, 3); rows of NaN are drawn as usual.
+
+        Returns:
+            The actor's observation (N, width) and the critic's (N, privileged width); only the rows of `which` count.
+        """
+        self._start(which)
+        if command is not None:
+            fixed = which & np.isfinite(command).all(axis=1)
+            self.state.command[fixed] = command[fixed]
+            self.state.command_left[fixed] = _FOREVER
+        self.reading = self.physics.read().astype(np.float32)
+        return self._observe(which)
+
     def _start(self, which: np.ndarray) -> None:
         """Put copies into a fresh episode: physics, body figures and task state."""
         count = int(which.sum())
-        joints, height, quat, velocity = self.task.initial_pose(self._draw(walk.POSE_DRAWS, count))
+        joints, height, quat, velocity = self.task.initial_pose(self._draw(walk.POSE_DRAWS, which))
         position = np.zeros((count, 3))
         position[:, 2] = height
         qvel = np.zeros((count, self.physics.model.nv))
         qvel[:, 0:6] = velocity
         self.physics.reset(self.physics.configuration(joints, position, quat), qvel, copies=which)
-        fresh = self.task.initial_state(self._draw(walk.RESET_DRAWS, count))
+        fresh = self.task.initial_state(self._draw(walk.RESET_DRAWS, which))
         if not self.randomise:
             fresh = replace(fresh, delay=np.zeros_like(fresh.delay))
         if not self.noise:
@@ -143,10 +179,9 @@ class WalkBatch:
         for f in fields(WalkState):
             getattr(self.state, f.name)[which] = getattr(fresh, f.name)
         if self.randomise:
-            lucky = self.rng.random(self.copies) < self.config.randomisation.redraw_share
-            redraw = which & (lucky | ~self._body_drawn)
+            redraw = which & (self._lucky(which) | ~self._body_drawn)
             if redraw.any():
-                drawn = self.task.draw_body(self._draw(walk.BODY_DRAWS, int(redraw.sum())))
+                drawn = self.task.draw_body(self._draw(walk.BODY_DRAWS, redraw))
                 for f in fields(BodyParameters):
                     getattr(self.body, f.name)[redraw] = getattr(drawn, f.name)
                 self.physics.set_parameters(self.body, copies=redraw)
@@ -203,7 +238,7 @@ class WalkBatch:
 
     def set_command(self, command: np.ndarray, steps: int | None = None) -> None:
         """Fix the velocity command of all copies, (3,) or (N, 3), for `steps` policy steps or for good."""
-        lifetime = np.full(self.copies, np.iinfo(np.int64).max // 2 if steps is None else steps)
+        lifetime = np.full(self.copies, _FOREVER if steps is None else steps)
         value = np.broadcast_to(np.asarray(command, dtype=np.float32), (self.copies, 3)).copy()
         self.state = replace(self.state, command=value, command_left=lifetime)
 
@@ -211,7 +246,7 @@ class WalkBatch:
         due = state.kick_left <= 0
         if not due.any():
             return state
-        kick, wait = self.task.draw_kick(self._draw(walk.KICK_DRAWS, int(due.sum())), self.curriculum.kick)
+        kick, wait = self.task.draw_kick(self._draw(walk.KICK_DRAWS, due), self.curriculum.kick)
         self.physics.kick(kick, copies=due)
         left = state.kick_left.copy()
         left[due] = wait
@@ -231,13 +266,31 @@ class WalkBatch:
         if c.penalty >= 1.0:
             c.kick = min(1.0, c.kick + settings.kick_growth)
 
-    def _observe(self) -> tuple[np.ndarray, np.ndarray]:
-        draws = self._draw(walk.SENSOR_DRAWS) if self.noise else None
+    def _observe(self, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Both observations of all copies; with `which`, sensor noise is drawn for those copies only."""
+        draws = None
+        if self.noise and which is None:
+            draws = self._draw(walk.SENSOR_DRAWS)
+        elif self.noise:
+            draws = np.full((self.copies, walk.SENSOR_DRAWS), 0.5, dtype=np.float32)
+            draws[which] = self._draw(walk.SENSOR_DRAWS, which)
         observation = self.task.observe(self.state, self.reading, draws)
         return observation, self.task.privilege(self.state, self.reading, self.body)
 
-    def _draw(self, width: int, count: int | None = None) -> np.ndarray:
-        return self.rng.random((self.copies if count is None else count, width), dtype=np.float32)
+    def _draw(self, width: int, which: np.ndarray | None = None) -> np.ndarray:
+        """Uniform numbers, a row for each copy of `which`."""
+        if self._streams is not None:
+            return self._streams.draw(width, which)
+        return self.rng.random((self.copies if which is None else int(which.sum()), width), dtype=np.float32)
+
+    def _lucky(self, which: np.ndarray) -> np.ndarray:
+        """Copies of `which` that get a new body, (N,) bool; other rows mean nothing."""
+        share = self.config.randomisation.redraw_share
+        if self._streams is None:
+            return self.rng.random(self.copies) < share
+        lucky = np.zeros(self.copies, dtype=bool)
+        lucky[which] = self._streams.draw(1, which)[:, 0] < share
+        return lucky
 
     # -- checkpoints ---------------------------------------------------------------------------------------------------
 
@@ -252,8 +305,8 @@ class WalkBatch:
             "rng": self.rng.bit_generator.state,
         }
 
-    def restore(self, snapshot: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-        """Continue from a snapshot of a batch of the same size; returns the observations, drawn with fresh noise.
+    def restore(self, snapshot: dict[str, Any]) -> None:
+        """Continue from a snapshot of a batch of the same size; the next `step` is the one that would have followed.
 
         Raises:
             ValueError: the snapshot is of another batch size.
@@ -261,8 +314,6 @@ class WalkBatch:
         count = len(snapshot["task"]["step"])
         if count != self.copies:
             raise ValueError(f"copies of the snapshot must be {self.copies}, got {count}")
-        from asimov_gym.physics import PhysicsState
-
         self.physics.set_state(PhysicsState(**snapshot["physics"]))
         self.state = WalkState(**{name: value.copy() for name, value in snapshot["task"].items()})
         self.body = BodyParameters(**{name: value.copy() for name, value in snapshot["body"].items()})
@@ -272,7 +323,6 @@ class WalkBatch:
         self.curriculum = Curriculum(**snapshot["curriculum"])
         self.rng.bit_generator.state = snapshot["rng"]
         self.reading = self.physics.read().astype(np.float32)
-        return self._observe()
 
 
 def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -291,7 +341,7 @@ def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _nominal_body(copies: int) -> BodyParameters:
-    joints = 25
+    joints = len(JOINT_NAMES)
     return BodyParameters(
         foot_friction=np.full(copies, 0.6, dtype=np.float32),
         kp_scale=np.ones((copies, joints), dtype=np.float32),

@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from asimov_gym.assets import asset_path
 from asimov_gym.physics.parameters import BodyParameters, ModelFigures
 from asimov_gym.physics.profile import PhysicsProfile, physics_profile
 from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading
 from asimov_gym.robot.frames import projected_gravity
 from asimov_gym.robot.joints import JOINT_NAMES
+from asimov_gym.robot.model import robot_spec
 
 _log = logging.getLogger(__name__)
 
@@ -36,7 +36,8 @@ class CPhysics:
         profile: `"evaluation"`, `"training"` or a profile of your own.
         threads: size of the thread pool; the machine's cores by default, never more than N.
         parameters: per-copy body figures at the start; see `set_parameters`.
-        model: a compiled model to simulate instead of the shipped one (other revision, terrain).
+        model: a compiled model to simulate instead of the shipped one (other revision, terrain). The shipped one comes
+            without its visual shapes and textures when N > 1: they weigh megabytes a copy and do nothing for the physics.
         dump_dir: folder for the state of diverged copies; nothing is written when None.
     """
 
@@ -55,7 +56,7 @@ class CPhysics:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.profile = physics_profile(profile)
         self.copies = copies
-        self.model = compile_model(self.profile) if model is None else model
+        self.model = compile_model(self.profile, visuals=copies == 1) if model is None else model
         self.timestep = float(self.model.opt.timestep)
         self.figures = ModelFigures(self.model)
         self.divergences = 0
@@ -331,9 +332,14 @@ class CPhysics:
         return data.sensordata.copy()
 
 
-def compile_model(profile: str | PhysicsProfile = "evaluation") -> mujoco.MjModel:
-    """The shipped robot on a flat floor under a physics profile."""
-    spec = mujoco.MjSpec.from_file(str(asset_path("asimov1.xml")))
+def compile_model(profile: str | PhysicsProfile = "evaluation", visuals: bool = True) -> mujoco.MjModel:
+    """The shipped robot on a flat floor under a physics profile.
+
+    Args:
+        profile: name or profile.
+        visuals: keep the shapes and textures that only a renderer needs.
+    """
+    spec = robot_spec(visuals=visuals)
     physics_profile(profile).apply(spec)
     return spec.compile()
 

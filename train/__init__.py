@@ -1,0 +1,1 @@
+"""The trainer: `python -m train ppo | export`. Needs the extra `train`."""
