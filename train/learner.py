@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -20,10 +22,10 @@ from train.config import LearnerConfig
 class MirrorSamples:
     """Teaches left and right alike: before each update a random half of the collected samples becomes its mirror image.
 
-    The mirrored samples are treated as drawn from the present policy: their likelihood, distribution and value are
-    computed anew. (Kept from the original sample, they would count as a large step of the policy while its networks are
-    not yet symmetric, and the adaptive learning rate would collapse.) Doubling the samples instead, as rsl-rl's symmetry
-    extension does, also doubles the cost of learning.
+    A mirrored sample keeps its likelihood at the time it was drawn, as rsl-rl's symmetry extension has it: of a policy
+    still lopsided, a mirrored action may be so unlikely that a ratio to anything else explodes. The distribution that the
+    adaptive learning rate compares with is computed anew, else the lopsidedness would count as a large step of the policy
+    and the rate would collapse. Mirroring half of the samples costs half of what that extension's doubling does.
     """
 
     def __init__(self, actor_view: Mirror, critic_view: Mirror) -> None:
@@ -38,10 +40,9 @@ class MirrorSamples:
         for name, mirror in (("actor", self._actor), ("critic", self._critic)):
             views[name].copy_(torch.where(flip, mirror(views[name]), views[name]))
         storage.actions.copy_(torch.where(flip, self._action(storage.actions), storage.actions))
-        flat, actions = views.flatten(0, 1), storage.actions.flatten(0, 1)
+        flat = views.flatten(0, 1)
         shape = storage.rewards.shape
         algorithm.actor(flat, stochastic_output=True)
-        storage.actions_log_prob.copy_(algorithm.actor.get_output_log_prob(actions).view(shape))
         fresh = algorithm.actor.output_distribution_params
         storage.distribution_params = tuple(p.reshape(*shape[:2], -1).clone() for p in fresh)
         storage.values.copy_(algorithm.critic(flat).view(shape))
@@ -70,18 +71,43 @@ class _Sizes:
         self.num_envs, self.num_actions = copies, len(POLICY_JOINT_NAMES)
 
 
+def _network(config: LearnerConfig) -> dict[str, Any]:
+    return {"hidden_dims": list(config.hidden), "activation": "elu", "obs_normalization": True}
+
+
+def _exploration(config: LearnerConfig) -> dict[str, Any]:
+    return {"class_name": "GaussianDistribution", "init_std": config.initial_std, "std_type": "log"}
+
+
+def load_actor(config: LearnerConfig, width: int, weights: dict[str, Any]) -> MLPModel:
+    """The actor of a checkpoint, normaliser inside, evaluating.
+
+    Args:
+        config: settings of the run.
+        width: width of the actor's observation.
+        weights: the checkpoint's `actor_state_dict`.
+    """
+    sample = TensorDict({"actor": torch.zeros(1, width)}, batch_size=[1])
+    actor = MLPModel(
+        sample,
+        {"actor": ["actor"]},
+        "actor",
+        len(POLICY_JOINT_NAMES),
+        **_network(config),
+        distribution_cfg=_exploration(config),
+    )
+    actor.load_state_dict(weights)
+    return actor.eval()
+
+
 def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict) -> PPO:
     """The algorithm with fresh networks for a batch of robots."""
-    network = {"class_name": "MLPModel", "hidden_dims": list(config.hidden), "activation": "elu", "obs_normalization": True}
     settings: dict[str, Any] = {
         "num_steps_per_env": config.steps,
         "obs_groups": {"actor": ["actor"], "critic": ["critic"]},
         "multi_gpu": None,
-        "actor": {
-            **network,
-            "distribution_cfg": {"class_name": "GaussianDistribution", "init_std": config.initial_std, "std_type": "scalar"},
-        },
-        "critic": dict(network),
+        "actor": {"class_name": "MLPModel", **_network(config), "distribution_cfg": _exploration(config)},
+        "critic": {"class_name": "MLPModel", **_network(config)},
         "algorithm": {
             "class_name": "PPO",
             "num_learning_epochs": config.epochs,
@@ -98,6 +124,7 @@ def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict)
             "symmetry_cfg": None,
         },
     }
-    algorithm = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, "cpu")  # type: ignore[arg-type]
+    with redirect_stdout(io.StringIO()):  # rsl-rl prints its networks
+        algorithm = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, "cpu")  # type: ignore[arg-type]
     algorithm.train_mode()
     return algorithm

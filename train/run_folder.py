@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import subprocess
 import time
 from pathlib import Path
 from typing import Any
@@ -11,9 +13,21 @@ from typing import Any
 import torch
 
 from asimov_gym import presets
+from asimov_gym.robot.model import model_sha256
 from train.config import PpoConfig
 
 _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.pt")
+
+
+def present_commit() -> str | None:
+    """Commit of the source checkout, with `+` when files differ from it; None outside a checkout."""
+    root = Path(__file__).resolve().parent.parent
+    try:
+        commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=True).stdout
+        changed = subprocess.run(["git", "status", "--porcelain", "-uno"], cwd=root, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return commit.strip() + ("+" if changed.stdout.strip() else "")
 
 
 class RunFolder:
@@ -32,6 +46,8 @@ class RunFolder:
             path = root / f"{stem}_{count}"
         path.mkdir(parents=True)
         presets.save(config, path / "config.yaml")
+        origin = {"preset": name, "commit": present_commit(), "model_sha256": model_sha256()}
+        (path / "origin.json").write_text(json.dumps(origin, indent=2) + "\n", encoding="utf-8")
         return cls(path)
 
     @classmethod
@@ -48,6 +64,10 @@ class RunFolder:
     def config(self) -> PpoConfig:
         """The configuration that the run was started with."""
         return presets.load(PpoConfig, self.path / "config.yaml")
+
+    def origin(self) -> dict[str, str | None]:
+        """What the run was started from: `preset`, `commit`, `model_sha256`."""
+        return json.loads((self.path / "origin.json").read_text(encoding="utf-8"))
 
     def checkpoints(self) -> list[Path]:
         """Checkpoints, oldest first."""

@@ -8,7 +8,11 @@ from pathlib import Path
 import torch
 from rich.console import Console
 
+from asimov_gym.policy.contract import default_contract
+from asimov_gym.robot.observation import observation_layout
 from train.config import PpoConfig
+from train.export import export_onnx
+from train.learner import load_actor
 from train.ppo import Trainer
 from train.run_folder import RunFolder
 
@@ -47,5 +51,25 @@ def _finish(trainer: Trainer, folder: RunFolder) -> int:
 
 
 def export_run(path: Path, output: Path | None) -> int:
-    """Export the newest checkpoint of a run; returns the exit code."""
-    raise NotImplementedError
+    """Export the newest checkpoint of a run as ONNX; returns the exit code."""
+    folder = RunFolder.open(path)
+    config, origin, state = folder.config(), folder.origin(), folder.load_checkpoint()
+    walk, samples = config.walk, state["progress"]["samples"]
+    contract = default_contract(
+        layout=walk.layout,
+        action_scale=walk.action_scale,
+        action_clip=walk.action_clip,
+        gait_frequency_hz=walk.gait_frequency_hz,
+        standing_threshold=walk.standing_threshold,
+        command_ranges=(walk.command.vx, walk.command.vy, walk.command.wz),
+        model_sha256=origin["model_sha256"],
+        trained_commit=origin["commit"],
+        training={"preset": origin["preset"], "samples": samples, "seconds": round(state["progress"]["seconds"])},
+    )
+    actor = load_actor(config.learner, observation_layout(walk.layout).width, state["learner"]["actor_state_dict"])
+    report = export_onnx(actor, contract, output or folder.path / "policy.onnx")
+    _console.print(
+        f"exported {report.path} after {samples / 1e6:.2f}M samples; largest difference from the trained network on "
+        f"{report.samples} observations: {report.difference:.1e}"
+    )
+    return 0

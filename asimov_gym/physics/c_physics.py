@@ -24,7 +24,7 @@ _log = logging.getLogger(__name__)
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
-_SPEED_LIMIT = 1e3
+_SPEED_LIMIT = 200.0
 """Generalised speeds beyond this (m/s, rad/s) count as a diverged simulation."""
 
 

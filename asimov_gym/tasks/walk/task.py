@@ -29,6 +29,8 @@ FALL_HEIGHT = 0.35
 """... or the pelvis sinks below this, m."""
 _WEIGHT = 316.0
 """The robot's weight, N; scale of contact forces for the critic."""
+_CRITIC_BOUND = 20.0
+"""Bound of what only the critic sees, so that one hard impact cannot spoil its normaliser."""
 _JOINTS, _ACTIONS = len(JOINT_NAMES), len(POLICY_JOINT_NAMES)
 _TO_POLICY = np.full(_JOINTS, -1)
 _TO_POLICY[POLICY_TO_JOINT] = np.arange(_ACTIONS)
@@ -308,7 +310,8 @@ class WalkTask:
             body.torso_mass[:, None],
             state.delay[:, None],
         ]
-        return xp.concat([clean, *(xp.astype(block, xp.float32) for block in extra)], axis=-1)
+        known = xp.concat([xp.astype(block, xp.float32) for block in extra], axis=-1)
+        return xp.concat([clean, xp.clip(known, -_CRITIC_BOUND, _CRITIC_BOUND)], axis=-1)
 
     @cached_property
     def privileged_mirror(self) -> mirror.Mirror:

@@ -1,0 +1,88 @@
+"""Events of the system channel.
+
+The message definition knows errors, diagnostics and changes of control; boot, mode changes and alerts, which the
+channel also carries, go as `EdgeError` with the codes below. The list of codes is this project's: none is published.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from asimov_gym.edge.control import Handover
+from asimov_gym.edge.wire import cloud_pb2
+from asimov_gym.firmware import Alert, AlertId, FirmwareState, State
+
+
+class Code(Enum):
+    """Codes of `EdgeError`, with what each says. Commands that are dropped make no event."""
+
+    BOOT = "boot"
+    """The firmware has booted, at start or after a restart; the message holds the count."""
+    MODE_CHANGE = "mode_change"
+    """The machine has changed state; the message is `FROM -> TO` with DAMP, STAND, MOVE/POLICY or MOVE/TRAJECTORY."""
+    ALERT_RAISED = "alert_raised"
+    """An alert is up; the message holds name, severity, source, value and threshold."""
+    ALERT_CLEARED = "alert_cleared"
+    """An alert has gone; the message holds its name and source."""
+    FAULT_LATCHED = "fault_latched"
+    """A critical alert has latched DAMP; the message holds the error word. Only a restart clears it."""
+    OVERLOAD = "overload"
+    """The simulation cannot keep up with real time; the message holds the factor it reached."""
+    SHUTDOWN = "shutdown"
+    """The simulated robot is going away."""
+
+
+def error(
+    code: Code, message: str, subsystem: cloud_pb2.Subsystem.ValueType = cloud_pb2.SUBSYSTEM_FIRMWARE
+) -> cloud_pb2.EdgeEvent:
+    """An `EdgeError` event, not yet stamped."""
+    return cloud_pb2.EdgeEvent(error=cloud_pb2.EdgeError(subsystem=subsystem, code=code.value, message=message))
+
+
+def handover(change: Handover) -> cloud_pb2.EdgeEvent:
+    """A `ControllerEvent`, not yet stamped. Nobody is the empty string."""
+    previous = "" if change.previous is None else change.previous.name
+    current = "" if change.current is None else change.current.name
+    return cloud_pb2.EdgeEvent(
+        controller=cloud_pb2.ControllerEvent(previous=previous, current=current, reason=change.reason)
+    )
+
+
+def describe(alert: Alert) -> str:
+    """An alert in words: `MOTOR_OVERTEMP critical source 3 value 801 threshold 800`."""
+    severity = alert.id.severity.name.lower()
+    return f"{alert.id.name} {severity} source {alert.source} value {alert.value} threshold {alert.threshold}"
+
+
+class ChangeWatch:
+    """Turns the stream of firmware states into events: each is compared with the one before."""
+
+    def __init__(self) -> None:
+        self._boot = 0
+        self._state = State.DAMP
+        self._alerts: dict[tuple[AlertId, int], Alert] = {}
+        self._latched = False
+
+    def events(self, state: FirmwareState) -> list[cloud_pb2.EdgeEvent]:
+        """What happened since the last state, in the order boot, alerts, latch, mode."""
+        found = []
+        if state.boot != self._boot:
+            self._boot, self._state, self._alerts, self._latched = state.boot, State.DAMP, {}, False
+            found.append(error(Code.BOOT, f"boot {state.boot}"))
+        alerts = {(alert.id, alert.source): alert for alert in state.alerts}
+        if alerts.keys() != self._alerts.keys():
+            raised = [alerts[key] for key in alerts.keys() - self._alerts.keys()]
+            cleared = [self._alerts[key] for key in self._alerts.keys() - alerts.keys()]
+            found += [error(Code.ALERT_RAISED, describe(a)) for a in sorted(raised, key=lambda a: (a.id, a.source))]
+            found += [
+                error(Code.ALERT_CLEARED, f"{a.id.name} source {a.source}")
+                for a in sorted(cleared, key=lambda a: (a.id, a.source))
+            ]
+        self._alerts = alerts
+        if state.latched and not self._latched:
+            found.append(error(Code.FAULT_LATCHED, f"error_flags 0x{state.error_flags:x}"))
+        self._latched = state.latched
+        if state.state is not self._state:
+            found.append(error(Code.MODE_CHANGE, f"{self._state.value} -> {state.state.value}"))
+            self._state = state.state
+        return found

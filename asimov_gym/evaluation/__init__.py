@@ -1,0 +1,1 @@
+"""How good a policy is: rollouts under the evaluation conditions, and the figures drawn from them."""

@@ -1,0 +1,60 @@
+"""Figures of the firmware: times, thresholds and gains."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from asimov_gym.firmware.gantry import GantryConfig
+from asimov_gym.firmware.motors import MotorConfig
+from asimov_gym.robot.ankle import FORMS, Form
+
+
+@dataclass(frozen=True)
+class FirmwareConfig:
+    """Times and thresholds of the robot. Those marked assumed are published by nobody."""
+
+    stand_ramp_s: float = 2.0
+    """Time from the present pose to the standing pose."""
+    trajectory_timeout_s: float = 0.2
+    """MOVE/TRAJECTORY falls back to DAMP after this long without a request."""
+    damp_kd: float = 2.0
+    """Damping of every joint in DAMP, N·m·s/rad. Assumed."""
+    fall_gravity_z: float = -0.5
+    """A fall is when the body-frame gravity's z rises above this: tilt over 60 degrees."""
+    warning_c: float = 60.0
+    """Motor temperature that raises a warning, degrees Celsius."""
+    trip_c: float = 80.0
+    """Motor temperature that latches DAMP, degrees Celsius."""
+    trip_clear_c: float = 70.0
+    """The over-temperature alert's cause lasts until the motor is below this, degrees Celsius. Assumed."""
+    range_margin: float = 0.05
+    """A joint is out of range when it is this far past its limit, rad. Assumed."""
+    action_limit: float = 10.0
+    """A network output beyond this is a runaway policy: at 0.25 rad per unit it is past every joint's range.
+    Assumed."""
+    ankle: Form = "linear"
+    """Mechanics of the ankle linkage: `linear` as the firmware computes it, or `exact`."""
+    gantry: GantryConfig = field(default_factory=GantryConfig)
+    motors: MotorConfig = field(default_factory=MotorConfig)
+
+    def __post_init__(self) -> None:
+        allowed = {
+            "stand_ramp_s": (0.0, 60.0),
+            "trajectory_timeout_s": (0.005, 60.0),
+            "damp_kd": (0.0, 5.0),
+            "fall_gravity_z": (-1.0, 1.0),
+            "warning_c": (-50.0, 300.0),
+            "trip_c": (-50.0, 300.0),
+            "trip_clear_c": (-50.0, 300.0),
+            "range_margin": (0.0, 1.0),
+            "action_limit": (0.0, 1e6),
+        }
+        for name, (low, high) in allowed.items():
+            value = getattr(self, name)
+            if not (math.isfinite(value) and low <= value <= high):
+                raise ValueError(f"firmware {name} must be between {low} and {high}, got {value!r}")
+        if self.ankle not in FORMS:
+            raise ValueError(f"firmware ankle must be one of {', '.join(FORMS)}, got {self.ankle!r}")
+        if self.trip_clear_c > self.trip_c:
+            raise ValueError(f"firmware trip_clear_c must be at most trip_c = {self.trip_c}, got {self.trip_clear_c}")

@@ -1,0 +1,15 @@
+"""Trajectories: follow a reference motion with direct joint targets."""
+
+from asimov_gym.tasks.trajectory.config import TrajectoryConfig
+from asimov_gym.tasks.trajectory.motion import Motion, MotionError, load_motion, motion_names
+from asimov_gym.tasks.trajectory.task import TrajectoryState, TrajectoryTask
+
+__all__ = [
+    "Motion",
+    "MotionError",
+    "TrajectoryConfig",
+    "TrajectoryState",
+    "TrajectoryTask",
+    "load_motion",
+    "motion_names",
+]

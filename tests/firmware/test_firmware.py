@@ -1,0 +1,381 @@
+"""What the firmware does with commands, time and faults, on a step clock."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from asimov_gym.firmware import (
+    AlertId,
+    Damp,
+    Firmware,
+    FirmwareConfig,
+    GantryConfig,
+    Mode,
+    MotorConfig,
+    Outcome,
+    Stand,
+    State,
+    StepClock,
+    Trajectory,
+    Velocity,
+)
+from asimov_gym.physics import CPhysics
+from asimov_gym.robot.joints import KD, KP, MOTOR_NAMES, RANGE, STAND_POSITION, joint_index
+
+LEFT_KNEE = joint_index("left_knee_joint")
+ELBOW = joint_index("left_elbow_joint")
+
+
+def walking(bench) -> None:
+    bench.firmware.command(Stand())
+    bench.run(2.5)
+    bench.firmware.command(Velocity(0.3, 0.0, 0.0))
+    bench.run(0.1)
+
+
+# -- boot and modes --------------------------------------------------------------------------------
+
+
+def test_boots_in_damp_with_nothing_wrong(bench) -> None:
+    snapshot = bench.firmware.snapshot
+    assert (snapshot.state, snapshot.error_flags, snapshot.alerts, snapshot.boot) == (State.DAMP, 0, (), 1)
+    assert snapshot.timestamp_us == 0
+
+
+def test_needs_exactly_one_robot() -> None:
+    with pytest.raises(ValueError, match=r"physics\.copies must be 1, got 2"):
+        Firmware(CPhysics(2), StepClock())
+
+
+def test_damp_is_damping_alone(held) -> None:
+    held.run(2.0)
+    state = held.physics.state()
+    state.qvel[:, 6:] = 0.0
+    state.qvel[0, held.physics.model.joint("left_elbow_joint").dofadr[0]] = 2.0
+    held.physics.set_state(state)
+    snapshot = held.run(0.005)
+    # torque = -kd * speed, with the speed somewhere between the start and the end of the step
+    assert -2.0 * 2.0 <= snapshot.joint_torque[ELBOW] <= -2.0 * snapshot.joint_velocity[ELBOW] < -1.0
+    assert abs(snapshot.joint_torque[joint_index("right_elbow_joint")]) < 0.1
+
+
+def test_stand_ramps_from_the_present_pose_in_two_seconds(held) -> None:
+    start = held.run(1.0).joint_position
+    held.firmware.command(Stand())
+    assert held.run(0.005).mode is Mode.STAND
+    middle = held.run(0.995).joint_position
+    end = held.run(1.3).joint_position
+    assert middle[LEFT_KNEE] == pytest.approx(0.5 * (start[LEFT_KNEE] + STAND_POSITION[LEFT_KNEE]), abs=0.03)
+    assert end == pytest.approx(STAND_POSITION, abs=0.06)
+
+
+def test_repeated_stand_does_not_start_the_ramp_again(held) -> None:
+    goal = STAND_POSITION.copy()
+    goal[ELBOW] = 2.0
+    for _ in range(50):
+        held.firmware.command(Trajectory(goal))
+        held.run(0.02)
+    for _ in range(10):
+        held.firmware.command(Stand())
+        snapshot = held.run(0.25)
+    assert snapshot.joint_position[ELBOW] == pytest.approx(STAND_POSITION[ELBOW], abs=0.03)
+
+
+def test_move_is_accepted_the_moment_it_arrives(bench) -> None:
+    bench.firmware.command(Stand())
+    assert bench.firmware.command(Velocity(0.0, 0.0, 0.0)).outcome is Outcome.TAKEN
+    assert bench.run(0.005).mode is Mode.MOVE
+
+
+def test_velocity_in_damp_is_dropped(bench) -> None:
+    assert bench.firmware.command(Velocity(0.1, 0.0, 0.0)).outcome is Outcome.DAMPED
+    assert bench.run(0.1).mode is Mode.DAMP
+
+
+def test_velocity_without_a_policy_is_dropped(make_bench: Callable) -> None:
+    bench = make_bench(with_policy=False)
+    bench.firmware.command(Stand())
+    assert bench.firmware.command(Velocity(0.1, 0.0, 0.0)).outcome is Outcome.NO_POLICY
+    assert bench.run(0.1).mode is Mode.STAND
+
+
+# -- trajectory ------------------------------------------------------------------------------------
+
+
+def test_trajectory_engages_from_damp_at_once_and_drives_every_joint(held) -> None:
+    goal = STAND_POSITION.copy()
+    goal[ELBOW] = 1.2
+    for _ in range(100):
+        held.firmware.command(Trajectory(goal))
+        snapshot = held.run(0.02)
+    assert snapshot.state is State.TRAJECTORY
+    assert snapshot.joint_position == pytest.approx(goal, abs=0.05)
+
+
+def test_trajectory_silence_of_200_ms_damps(held) -> None:
+    held.firmware.command(Trajectory(STAND_POSITION))
+    assert held.run(0.195).state is State.TRAJECTORY
+    assert held.run(0.005).state is State.DAMP
+    assert not held.firmware.snapshot.latched
+
+
+def test_trajectory_within_200_ms_keeps_the_session(held) -> None:
+    for _ in range(6):
+        held.firmware.command(Trajectory(STAND_POSITION))
+        assert held.run(0.19).state is State.TRAJECTORY
+
+
+def test_the_timeout_reads_the_clock_and_not_the_ticks(held) -> None:
+    held.firmware.command(Trajectory(STAND_POSITION))
+    held.clock.advance(200_000)
+    held.firmware.tick()
+    assert held.firmware.state is State.DAMP
+
+
+def test_trajectory_gains_reach_the_joints(held) -> None:
+    kp, kd = KP.copy(), KD.copy()
+    kp[ELBOW] = 0.0
+    goal = STAND_POSITION.copy()
+    goal[ELBOW] = 2.0
+    for _ in range(20):
+        held.firmware.command(Trajectory(goal, kp, kd))
+        limp = held.run(0.02)
+    assert abs(limp.joint_torque[ELBOW]) < 1.0
+    for _ in range(20):
+        held.firmware.command(Trajectory(goal))
+        driven = held.run(0.02)
+    assert driven.joint_position[ELBOW] > limp.joint_position[ELBOW] + 0.5
+
+
+def test_trajectory_is_checked() -> None:
+    with pytest.raises(ValueError, match="position must be 25 finite numbers"):
+        Trajectory(np.zeros(24))
+    with pytest.raises(ValueError, match="kd must be 25 finite numbers"):
+        Trajectory(np.zeros(25), kd=np.full(25, np.nan))
+
+
+# -- policy ----------------------------------------------------------------------------------------
+
+
+def test_policy_runs_at_50_hz_from_the_first_tick(bench, policy) -> None:
+    bench.firmware.command(Stand())
+    bench.run(2.0)
+    bench.firmware.command(Velocity(0.3, 0.0, 0.0))
+    bench.run(0.005)
+    assert len(policy.seen) == 1
+    bench.run(0.995)
+    assert len(policy.seen) == 50
+
+
+def test_policy_sees_the_command_until_it_is_replaced(bench, policy) -> None:
+    walking(bench)
+    bench.run(3.0)
+    assert policy.seen[-1][6:9] == pytest.approx([0.3, 0.0, 0.0])
+    bench.firmware.command(Velocity(0.0, 0.2, 0.0))
+    bench.run(0.04)
+    assert policy.seen[-1][6:9] == pytest.approx([0.0, 0.2, 0.0])
+
+
+def test_entering_move_resets_clock_and_last_action(bench, policy) -> None:
+    policy.action[:] = 0.1
+    walking(bench)
+    assert policy.seen[-1][55:78] == pytest.approx(0.1)
+    assert policy.seen[-1][79] != 0.0
+    bench.firmware.command(Stand())
+    bench.run(0.5)
+    bench.firmware.command(Velocity(0.3, 0.0, 0.0))
+    bench.run(0.005)
+    assert policy.seen[-1][55:78] == pytest.approx(0.0)
+    assert policy.seen[-1][78:80] == pytest.approx([1.0, 0.0])
+
+
+def test_command_is_clamped_to_the_trained_range(bench, policy) -> None:
+    bench.firmware.command(Stand())
+    receipt = bench.firmware.command(Velocity(2.0, -1.0, 0.5))
+    snapshot = bench.run(0.005)
+    assert receipt.clamped
+    assert snapshot.velocity == pytest.approx([0.8, -0.4, 0.5])
+    assert policy.seen[-1][6:9] == pytest.approx([0.8, -0.4, 0.5])
+
+
+def test_action_moves_the_joints_and_the_neck_stands(bench, policy) -> None:
+    policy.action[:] = 0.0
+    policy.action[list(policy.contract.joint_names).index("left_elbow_joint")] = 2.0
+    walking(bench)
+    snapshot = bench.run(1.0)
+    assert snapshot.joint_position[ELBOW] == pytest.approx(STAND_POSITION[ELBOW] + 0.5, abs=0.05)
+    assert snapshot.joint_position[23:25] == pytest.approx([0.0, 0.0], abs=0.02)
+
+
+@pytest.mark.parametrize(("value", "reported"), [(np.nan, 2**32 - 1), (np.inf, 2**32 - 1), (-12.5, 12_500)])
+def test_runaway_policy_latches_damp(bench, policy, value: float, reported: int) -> None:
+    walking(bench)
+    policy.action[3] = value
+    snapshot = bench.run(0.02)
+    assert snapshot.state is State.DAMP
+    assert snapshot.error_flags == 1 | 1 << 9
+    assert [(a.id, a.value, a.threshold) for a in snapshot.alerts] == [(AlertId.POLICY_SPAZ, reported, 10_000)]
+
+
+def test_failing_inference_latches_damp(bench, policy) -> None:
+    walking(bench)
+    policy.error = RuntimeError("out of memory")
+    snapshot = bench.run(0.02)
+    assert snapshot.state is State.DAMP
+    assert snapshot.error_flags == 1 | 1 << 15
+    assert bench.run(1.0).state is State.DAMP
+
+
+# -- faults ----------------------------------------------------------------------------------------
+
+
+def topple(bench) -> None:
+    bench.physics.kick(np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+
+
+def test_fall_latches_damp_and_only_a_restart_clears_it(make_bench: Callable) -> None:
+    bench = make_bench("off")
+    bench.firmware.command(Stand())
+    assert bench.run(1.0).error_flags == 0
+    topple(bench)
+    snapshot = bench.run(1.5)
+    assert snapshot.state is State.DAMP
+    assert snapshot.error_flags & 0x101 == 0x101
+    assert AlertId.FALL_DETECTED in {alert.id for alert in snapshot.alerts}
+    snapshot = bench.run(3.0)
+    assert snapshot.alerts == ()
+    assert snapshot.error_flags & 0x101 == 0x101
+    assert bench.firmware.command(Stand()).outcome is Outcome.TAKEN
+    assert bench.firmware.command(Velocity(0.1, 0.0, 0.0)).outcome is Outcome.DAMPED
+    assert bench.firmware.command(Trajectory(STAND_POSITION)).outcome is Outcome.LATCHED
+    assert bench.firmware.command(Damp()).outcome is Outcome.TAKEN
+    assert bench.run(0.1).state is State.DAMP
+    bench.firmware.restart()
+    snapshot = bench.firmware.snapshot
+    assert (snapshot.error_flags, snapshot.boot, snapshot.timestamp_us) == (0, 2, 0)
+    bench.firmware.command(Stand())
+    assert bench.firmware.state is State.STAND
+
+
+def test_lying_down_in_damp_is_no_fault(make_bench: Callable) -> None:
+    bench = make_bench("off")
+    snapshot = bench.run(3.0)
+    assert bench.pelvis_height() < 0.4
+    assert (snapshot.error_flags, snapshot.alerts) == (0, ())
+
+
+@pytest.mark.parametrize(("state", "latches"), [(State.STAND, True), (State.DAMP, False)])
+def test_joint_out_of_range_latches_unless_damped(held, state: State, latches: bool) -> None:
+    if state is State.STAND:
+        held.firmware.command(Stand())
+        held.run(2.0)
+    physics = held.physics.state()
+    physics.qpos[0, held.physics.model.joint("left_elbow_joint").qposadr[0]] = RANGE[ELBOW, 1] + 0.2
+    held.physics.set_state(physics)
+    snapshot = held.run(0.005)
+    assert snapshot.latched is latches
+    if latches:
+        alert = snapshot.alerts[0]
+        assert (alert.id, alert.source, alert.value, alert.threshold) == (AlertId.JOINT_OUT_OF_RANGE, ELBOW, 200, 50)
+        assert snapshot.state is State.DAMP
+
+
+def test_hot_motor_warns_then_trips(held) -> None:
+    knee = MOTOR_NAMES.index("R_Knee")
+    held.firmware.command(Stand())
+    held.firmware.motors.temperature[knee] = 60.5
+    warm = held.run(0.01)
+    assert [(a.id, a.source, a.value, a.threshold) for a in warm.alerts] == [(AlertId.MOTOR_TEMP_HIGH, knee, 605, 600)]
+    assert (warm.state, warm.error_flags) == (State.STAND, 0)
+    held.firmware.motors.temperature[knee] = 80.5
+    hot = held.run(0.01)
+    assert (hot.state, hot.error_flags) == (State.DAMP, 0x9)
+    assert {alert.id for alert in hot.alerts} == {AlertId.MOTOR_OVERTEMP, AlertId.MOTOR_TEMP_HIGH}
+    held.firmware.motors.temperature[knee] = 71.0
+    assert AlertId.MOTOR_OVERTEMP in {alert.id for alert in held.run(3.0).alerts}
+    held.firmware.motors.temperature[knee] = 40.0
+    assert held.run(2.6).alerts == ()
+    assert held.firmware.snapshot.error_flags == 0x9
+
+
+def test_restart_of_a_hot_robot_trips_again(held) -> None:
+    held.firmware.motors.temperature[0] = 85.0
+    held.run(0.01)
+    held.firmware.restart()
+    assert held.run(0.01).error_flags == 0x9
+
+
+def test_overworked_motor_heats_until_it_trips(make_bench: Callable) -> None:
+    bench = make_bench("hold", motors=MotorConfig(time_constant_s=1.0))
+    kp = KP.copy()
+    kp[LEFT_KNEE] = 500.0
+    goal = STAND_POSITION.copy()
+    for i in range(300):  # saws to and fro at nearly twice the rated torque
+        goal[LEFT_KNEE] = (0.3, 1.2)[i // 8 % 2]
+        bench.firmware.command(Trajectory(goal, kp, KD))
+        snapshot = bench.run(0.02)
+        if snapshot.latched:
+            break
+    hot = [(alert.id, alert.source) for alert in snapshot.alerts]
+    assert snapshot.error_flags == 0x9
+    assert (AlertId.MOTOR_OVERTEMP, LEFT_KNEE) in hot
+    assert snapshot.motor_temperature[LEFT_KNEE] == pytest.approx(80.0, abs=1.0)
+
+
+def test_injected_critical_alert_latches(bench) -> None:
+    bench.firmware.command(Stand())
+    bench.firmware.inject(AlertId.MOTOR_COMM_LOSS, source=4)
+    snapshot = bench.run(0.005)
+    assert (snapshot.state, snapshot.error_flags) == (State.DAMP, 0x3)
+
+
+# -- reports ---------------------------------------------------------------------------------------
+
+
+def test_ankles_are_reported_as_motors(held) -> None:
+    goal = STAND_POSITION.copy()
+    goal[4], goal[5] = 0.1, -0.05
+    for _ in range(100):
+        held.firmware.command(Trajectory(goal))
+        snapshot = held.run(0.02)
+    pitch, roll = snapshot.joint_position[4:6]
+    assert snapshot.motor_position[4:6] == pytest.approx([2.02 * pitch - 0.8 * roll, -2.02 * pitch - 0.8 * roll])
+    tau_pitch, tau_roll = snapshot.joint_torque[4:6]
+    tau_a, tau_b = snapshot.motor_torque[4:6]
+    assert [2.02 * (tau_a - tau_b), -0.8 * (tau_a + tau_b)] == pytest.approx([tau_pitch, tau_roll])
+
+
+def test_exact_ankle_reaches_less_than_is_asked(make_bench: Callable) -> None:
+    bench = make_bench("hold", ankle="exact")
+    bench.firmware.command(Stand())
+    snapshot = bench.run(3.0)
+    # The linear form asks the motors for 2.02 * 0.3; the mechanism turns that into 0.275 rad.
+    assert abs(snapshot.joint_position[4]) == pytest.approx(0.275, abs=0.01)
+    a = math.asin(2.02 * math.tan(snapshot.joint_position[4]) - 0.8 * math.sin(snapshot.joint_position[5]))
+    assert snapshot.motor_position[4] == pytest.approx(a)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("trajectory_timeout_s", 0.0),
+        ("damp_kd", 9.0),
+        ("trip_clear_c", 90.0),
+        ("ankle", "springy"),
+        ("stand_ramp_s", -1.0),
+    ],
+)
+def test_config_names_the_bad_field(field: str, value: object) -> None:
+    with pytest.raises(ValueError, match=field):
+        FirmwareConfig(**{field: value})  # type: ignore[arg-type]
+
+
+def test_gantry_config_names_the_bad_field() -> None:
+    with pytest.raises(ValueError, match="gantry mode must be one of auto, hold, off, got 'crane'"):
+        GantryConfig(mode="crane")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="gantry stiffness"):
+        GantryConfig(stiffness=-1.0)
