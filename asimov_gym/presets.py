@@ -1,9 +1,10 @@
-"""YAML presets validated into frozen dataclasses, and back."""
+"""YAML presets validated into frozen dataclasses, and back; and the checks such dataclasses make of their fields."""
 
 from __future__ import annotations
 
 import collections.abc
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Mapping
@@ -13,6 +14,22 @@ from typing import Any, TypeVar
 import yaml
 
 T = TypeVar("T")
+
+
+def check_range(name: str, value: float, low: float, high: float) -> None:
+    """Raise ValueError unless `low <= value <= high`."""
+    if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
+
+
+def check_interval(name: str, value: tuple[float, float], low: float, high: float) -> None:
+    """Raise ValueError unless `value` is an ordered pair within [low, high]."""
+    if len(value) != 2:
+        raise ValueError(f"{name} must be a pair [low, high], got {value!r}")
+    check_range(f"{name}[0]", value[0], low, high)
+    check_range(f"{name}[1]", value[1], low, high)
+    if value[0] > value[1]:
+        raise ValueError(f"{name} must be ordered low to high, got {value!r}")
 
 
 def from_mapping(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
@@ -104,7 +121,7 @@ def _convert(hint: Any, value: Any, path: str, field: dataclasses.Field[Any]) ->
     if hint is str and not isinstance(value, str):
         raise ValueError(f"{path} must be text, got {value!r}")
     if hint is Path:
-        return Path(value)
+        return Path(str(value))
     return value
 
 

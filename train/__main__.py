@@ -1,4 +1,4 @@
-"""`python -m train ppo | resume | export`: make the MOVE/POLICY network."""
+"""`python -m train ppo | resume | export | card`: make the MOVE/POLICY network."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Annotated
 
 import tyro
 
+_EXTRA = ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx", "onnxscript")
 _MISSING = (
     "Training needs the extra packages of `asimov-gym[train]`, and {name!r} is not installed.\n"
     "Install them with:  pip install 'asimov-gym[train]'   (in a checkout: pip install -e '.[train]', or `make train`)"
@@ -31,6 +32,20 @@ class Export:
     """Folder of the run."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """File to write; `policy.onnx` in the run's folder when omitted."""
+
+
+@dataclass(frozen=True)
+class Card:
+    """Evaluate a run's exported policy and write its card beside it: figures, curves and how it was made."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run."""
+    policy: Path | None = None
+    """Exported network; `policy.onnx` in the run's folder when omitted."""
+    notes: Path | None = None
+    """Markdown to put on the card."""
+    seeds: int = 20
+    """Robots per command."""
 
 
 def _ppo(arguments: list[str]) -> int:
@@ -58,7 +73,9 @@ def _ppo(arguments: list[str]) -> int:
     preset = load_preset(start.preset)
     if wants_help:
         print(f"Presets: {', '.join(preset_names())} (--preset NAME). Run: --name NAME, --runs DIR, --resume RUN.\n")
-    config = tyro.cli(PpoConfig, args=[*rest, *(["--help"] if wants_help else [])], default=preset, prog="python -m train ppo")
+    config = tyro.cli(
+        PpoConfig, args=[*rest, *(["--help"] if wants_help else [])], default=preset, prog="python -m train ppo"
+    )
     return start_run(config, start.runs, start.name or start.preset)
 
 
@@ -75,17 +92,25 @@ def _export(arguments: list[str]) -> int:
     return export_run(export.run, export.output)
 
 
-_COMMANDS = {"ppo": _ppo, "resume": _resume, "export": _export}
+def _card(arguments: list[str]) -> int:
+    from train.session import write_run_card
+
+    card = tyro.cli(Card, args=arguments, prog="python -m train card")
+    return write_run_card(card.run, card.policy, card.notes, card.seeds)
+
+
+_COMMANDS = {"ppo": _ppo, "resume": _resume, "export": _export, "card": _card}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: python -m train {ppo,resume,export} [flags]\n")
+        print("usage: python -m train {ppo,resume,export,card} [flags]\n")
         print("  ppo     train a walking policy (see: python -m train ppo --help)")
         print("  resume  continue a run from its newest checkpoint")
         print("  export  write a run's network as ONNX")
+        print("  card    evaluate a run's network and write its card")
         return 0 if arguments else 2
     if arguments[0] not in _COMMANDS:
         print(f"unknown command {arguments[0]!r}; known commands: {', '.join(_COMMANDS)}", file=sys.stderr)
@@ -93,7 +118,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return _COMMANDS[arguments[0]](arguments[1:])
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] in ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx", "onnxscript"):
+        if (error.name or "").partition(".")[0] in (
+            "torch",
+            "rsl_rl",
+            "tensordict",
+            "tensorboard",
+            "onnx",
+            "onnxscript",
+        ):
             print(_MISSING.format(name=error.name), file=sys.stderr)
             return 2
         raise

@@ -28,12 +28,12 @@ class LearnerConfig:
     """First learning rate; it adapts to `desired_kl`."""
     desired_kl: float = 0.012
     clip: float = 0.2
-    entropy_samples: tuple[float, ...] = (3.5e6, 5.0e6)
+    entropy_samples: tuple[float, ...] = (6.0e6, 8.0e6)
     """Samples between which the entropy bonus falls."""
     entropy: tuple[float, float] = (0.006, 0.001)
     """Entropy bonus before and after."""
-    mirror: bool = True
-    """Replace a random half of the samples by their left-right mirror images."""
+    symmetry: str = "network"
+    """How left and right are taught alike: `network` (symmetric by construction), `samples` (mirrored ones), `none`."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "epochs", "minibatches"):
@@ -45,6 +45,8 @@ class LearnerConfig:
         for name in ("initial_std", "learning_rate", "desired_kl", "clip"):
             if not 0.0 < getattr(self, name) < 100.0:
                 raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
+        if self.symmetry not in ("network", "samples", "none"):
+            raise ValueError(f"learner.symmetry must be network, samples or none, got {self.symmetry!r}")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"learner.hidden must hold positive widths, got {self.hidden}")
         if len(self.entropy_samples) != 2 or not 0 <= self.entropy_samples[0] < self.entropy_samples[1]:
@@ -81,7 +83,9 @@ class PpoConfig:
         if self.samples < 1:
             raise ValueError(f"samples must be at least 1, got {self.samples}")
         if self.copies < self.learner.minibatches:
-            raise ValueError(f"copies must be at least learner.minibatches = {self.learner.minibatches}, got {self.copies}")
+            raise ValueError(
+                f"copies must be at least learner.minibatches = {self.learner.minibatches}, got {self.copies}"
+            )
         if self.profile not in PROFILES:
             raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
         if self.checkpoint_s <= 0.0:

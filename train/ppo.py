@@ -18,8 +18,9 @@ from torch.utils.tensorboard import SummaryWriter
 
 from asimov_gym.envs.walk_batch import WalkBatch, WalkStep
 from train.config import PpoConfig
-from train.learner import MirrorSamples, build_ppo, views
+from train.learner import build_ppo, views
 from train.run_folder import RunFolder
+from train.symmetry import MirrorSamples
 
 _console = Console(soft_wrap=True)
 
@@ -77,7 +78,7 @@ class Trainer:
         self.ppo = build_ppo(self.batch, config.learner, self.observations)
         task = self.batch.task
         mirror = MirrorSamples(task.layout.mirror, task.privileged_mirror)
-        self.mirror = mirror if config.learner.mirror else None
+        self.mirror = mirror if config.learner.symmetry == "samples" else None
         self.progress = Progress()
 
     def resume(self) -> None:
@@ -199,6 +200,7 @@ def _line(progress: Progress, total: int, rate: float, figures: dict[str, float]
         f"episode {figures['episode/length_s']:5.1f} s  reward {figures['episode/reward']:5.2f}/s  "
         f"falls {figures['episode/falls_per_min']:6.2f}/min  error {figures['error/velocity']:.3f} m/s "
         f"{figures['error/yaw_rate']:.3f} rad/s  std {figures['policy/std']:.2f}  "
-        f"lift {figures['reward/foot_height']:.2f}  levels {figures['curriculum/penalty']:.2f} {figures['curriculum/kick']:.2f}  "
+        f"lift {figures['reward/foot_height']:.2f}  "
+        f"levels {figures['curriculum/penalty']:.2f} {figures['curriculum/kick']:.2f}  "
         f"[{figures['speed/collect_s']:.2f}+{figures['speed/learn_s']:.2f} s]"
     )

@@ -23,8 +23,12 @@ def present_commit() -> str | None:
     """Commit of the source checkout, with `+` when files differ from it; None outside a checkout."""
     root = Path(__file__).resolve().parent.parent
     try:
-        commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=True).stdout
-        changed = subprocess.run(["git", "status", "--porcelain", "-uno"], cwd=root, capture_output=True, text=True, check=True)
+        commit = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=root, capture_output=True, text=True, check=True
+        ).stdout
+        changed = subprocess.run(
+            ["git", "status", "--porcelain", "-uno"], cwd=root, capture_output=True, text=True, check=True
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
     return commit.strip() + ("+" if changed.stdout.strip() else "")
@@ -71,7 +75,9 @@ class RunFolder:
 
     def checkpoints(self) -> list[Path]:
         """Checkpoints, oldest first."""
-        found = [(int(m[1]), p) for p in (self.path / "checkpoints").glob("*.pt") if (m := _CHECKPOINT.fullmatch(p.name))]
+        found = [
+            (int(m[1]), p) for p in (self.path / "checkpoints").glob("*.pt") if (m := _CHECKPOINT.fullmatch(p.name))
+        ]
         return [path for _, path in sorted(found)]
 
     def save_checkpoint(self, samples: int, state: dict[str, Any], keep: int) -> Path:

@@ -7,16 +7,20 @@ from pathlib import Path
 
 import torch
 from rich.console import Console
+from rich.progress import Progress, TaskID
 
+from asimov_gym.evaluation.report import evaluate
+from asimov_gym.policy import load_policy
 from asimov_gym.policy.contract import default_contract
 from asimov_gym.robot.observation import observation_layout
+from train.card import write_card
 from train.config import PpoConfig
 from train.export import export_onnx
 from train.learner import load_actor
 from train.ppo import Trainer
 from train.run_folder import RunFolder
 
-_console = Console()
+_console = Console(soft_wrap=True)
 
 
 def start_run(config: PpoConfig, root: Path, name: str) -> int:
@@ -66,10 +70,32 @@ def export_run(path: Path, output: Path | None) -> int:
         trained_commit=origin["commit"],
         training={"preset": origin["preset"], "samples": samples, "seconds": round(state["progress"]["seconds"])},
     )
-    actor = load_actor(config.learner, observation_layout(walk.layout).width, state["learner"]["actor_state_dict"])
+    actor = load_actor(config.learner, observation_layout(walk.layout), state["learner"]["actor_state_dict"])
     report = export_onnx(actor, contract, output or folder.path / "policy.onnx")
     _console.print(
         f"exported {report.path} after {samples / 1e6:.2f}M samples; largest difference from the trained network on "
         f"{report.samples} observations: {report.difference:.1e}"
     )
+    return 0
+
+
+def write_run_card(path: Path, policy_file: Path | None, notes: Path | None, seeds: int) -> int:
+    """Evaluate a run's exported policy and write its card beside the file; returns the exit code."""
+    folder = RunFolder.open(path)
+    policy_file = policy_file or folder.path / "policy.onnx"
+    policy = load_policy(policy_file)
+    text = notes.read_text(encoding="utf-8") if notes is not None else ""
+    with Progress(console=_console, transient=True) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def show(stage: str, done: int, whole: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=whole)
+            bar.update(tasks[stage], completed=done)
+
+        report = evaluate(policy, seeds=seeds, progress=show)
+    card = policy_file.with_suffix(".md")
+    write_card(folder, policy, report, card, text)
+    _console.print(report.summary(), highlight=False)
+    _console.print(f"card: {card}")
     return 0

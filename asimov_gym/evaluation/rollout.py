@@ -1,7 +1,7 @@
 """Many robots driven by one policy under the evaluation conditions, without a rope, noise or randomisation.
 
-Conditions: the `evaluation` physics profile, foot friction as in the model (0.6), a start in the standing pose with joint
-errors of up to 0.02 rad drawn from the seed, and an action delay of (seed mod 6) times 5 ms.
+Conditions: the `evaluation` physics profile, foot friction as in the model (0.6), a start in the standing pose with
+joint errors of up to 0.02 rad drawn from the seed, and an action delay of (seed mod 6) times 5 ms.
 """
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from asimov_gym.policy import PolicyDriver, PolicyRunner
 from asimov_gym.robot import frames
 from asimov_gym.robot.joints import KD, KP, POLICY_TO_JOINT, RANGE, STAND_POSITION
 from asimov_gym.robot.observation import POLICY_RATE_HZ
+from asimov_gym.robot.safety_limits import has_fallen
 
 DELAYS = 6
 """Distinct action delays, 0 to 25 ms in physics steps of 5 ms."""
 INITIAL_JOINT_ERROR = 0.02
 """rad."""
-FALL_GRAVITY_Z = -0.5
-"""A fall: tilt beyond 60 degrees ..."""
-FALL_HEIGHT = 0.35
-"""... or the pelvis below this, m."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,9 @@ def roll_out(
     physics.reset(physics.configuration(joints, start, np.tile(qpos[3:7], (n, 1))), qvel)
     delay = np.asarray(seeds) % DELAYS
     history = np.tile(joints[:, None], (1, 3, 1))
-    rows: dict[str, list[np.ndarray]] = {name: [] for name in ("command", "velocity", "position", "gravity", "foot", "torque", "speed")}
+    rows: dict[str, list[np.ndarray]] = {
+        name: [] for name in ("command", "velocity", "position", "gravity", "foot", "torque", "speed")
+    }
     fall_step = np.full(n, steps)
     reading = physics.read()
     for step in range(steps):
@@ -99,7 +98,7 @@ def roll_out(
         history = np.concatenate([target[:, None], history[:, :2]], axis=1)
         late = delayed_position(history, delay, DECIMATION)
         reading = physics.step(JointTarget(late), DECIMATION, None if wrench is None else wrench(now))
-        fallen = is_fallen(reading) | physics.diverged
+        fallen = has_fallen(reading.gravity, reading.base_position[:, 2]) | physics.diverged
         fall_step = np.where(fallen & (fall_step == steps), step, fall_step)
         _record(rows, driver.command, reading)
         if progress is not None:
@@ -129,11 +128,6 @@ def policy_gains(policy: PolicyRunner, copies: int) -> BodyParameters | None:
     if np.array_equal(kp, KP) and np.array_equal(kd, KD):
         return None
     return BodyParameters(kp_scale=np.tile(kp / KP, (copies, 1)), kd_scale=np.tile(kd / KD, (copies, 1)))
-
-
-def is_fallen(reading: Reading) -> np.ndarray:
-    """Robots on the ground, (n,) bool."""
-    return (reading.gravity[:, 2] > FALL_GRAVITY_Z) | (reading.base_position[:, 2] < FALL_HEIGHT)
 
 
 def _record(rows: dict[str, list[np.ndarray]], command: np.ndarray, reading: Reading) -> None:

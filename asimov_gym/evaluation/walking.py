@@ -120,7 +120,9 @@ class StandingResult:
     """Largest height of a sole above its resting height after two seconds, m: stepping shows here."""
 
 
-def stand(policy: PolicyRunner, seeds: int = 20, seconds: float = 10.0, progress: Progress | None = None) -> StandingResult:
+def stand(
+    policy: PolicyRunner, seeds: int = 20, seconds: float = 10.0, progress: Progress | None = None
+) -> StandingResult:
     """Stand at zero command."""
     zero = np.zeros((seeds, 3))
     trace = roll_out(policy, np.arange(seeds), seconds, lambda now: zero, progress=progress)

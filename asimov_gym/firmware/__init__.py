@@ -1,6 +1,6 @@
 """The robot's firmware in simulation: mode machine, 200 Hz loop, safety, motors, gantry, clocks."""
 
-from asimov_gym.firmware.alerts import CLEAR_DELAY_US, UNITS, Alert, AlertBoard, AlertId, Severity, error_bit
+from asimov_gym.firmware.alerts import CLEAR_DELAY_US, UNITS, Alert, AlertBoard
 from asimov_gym.firmware.clock import MICROSECONDS, Clock, StepClock, WallClock
 from asimov_gym.firmware.commands import Command, Damp, Stand, Trajectory, Velocity
 from asimov_gym.firmware.config import FirmwareConfig
@@ -11,6 +11,7 @@ from asimov_gym.firmware.modes import TRANSITIONS, Mode, Outcome, State, Transit
 from asimov_gym.firmware.motors import MotorConfig, Motors
 from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault, Runner
 from asimov_gym.firmware.snapshot import FirmwareState
+from asimov_gym.robot.alerts import AlertId, Severity, error_bit
 
 __all__ = [
     "CLEAR_DELAY_US",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from asimov_gym.firmware.gantry import GantryConfig
 from asimov_gym.firmware.motors import MotorConfig
 from asimov_gym.robot.ankle import FORMS, Form
+from asimov_gym.robot.safety_limits import FALL_GRAVITY_Z, TRIP_C, TRIP_CLEAR_C, WARNING_C
 
 
 @dataclass(frozen=True)
@@ -20,13 +21,13 @@ class FirmwareConfig:
     """MOVE/TRAJECTORY falls back to DAMP after this long without a request."""
     damp_kd: float = 2.0
     """Damping of every joint in DAMP, N·m·s/rad. Assumed."""
-    fall_gravity_z: float = -0.5
+    fall_gravity_z: float = FALL_GRAVITY_Z
     """A fall is when the body-frame gravity's z rises above this: tilt over 60 degrees."""
-    warning_c: float = 60.0
+    warning_c: float = WARNING_C
     """Motor temperature that raises a warning, degrees Celsius."""
-    trip_c: float = 80.0
+    trip_c: float = TRIP_C
     """Motor temperature that latches DAMP, degrees Celsius."""
-    trip_clear_c: float = 70.0
+    trip_clear_c: float = TRIP_CLEAR_C
     """The over-temperature alert's cause lasts until the motor is below this, degrees Celsius. Assumed."""
     range_margin: float = 0.05
     """A joint is out of range when it is this far past its limit, rad. Assumed."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asimov_gym.firmware.alerts import AlertBoard, AlertId
+from asimov_gym.firmware.alerts import AlertBoard
 from asimov_gym.firmware.clock import MICROSECONDS, Clock
 from asimov_gym.firmware.commands import Command, Stand, Trajectory, Velocity
 from asimov_gym.firmware.config import FirmwareConfig
@@ -19,6 +19,7 @@ from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault, Runne
 from asimov_gym.firmware.safety import Safety
 from asimov_gym.firmware.snapshot import FirmwareState
 from asimov_gym.physics import DECIMATION, CPhysics, JointTarget
+from asimov_gym.robot.alerts import AlertId
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE, STAND_POSITION
 
 _log = logging.getLogger(__name__)

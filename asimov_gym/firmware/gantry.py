@@ -34,10 +34,10 @@ class GantryConfig:
     """Height of a hanging robot above the standing one, m: enough for straight, limp legs."""
     stand_slack: float = 0.05
     """Drop until the rope catches in STAND, m."""
-    move_slack: float = 0.3
-    """Drop until the rope catches in MOVE, m. A toppling robot comes to hang on 0.3 m of slack at a tilt of 45 to 50
-    degrees, below the 60 that the firmware calls a fall: it stays in MOVE until it is damped. From 0.45 m on a topple
-    is detected as a fall before the rope holds it."""
+    move_slack: float = 0.45
+    """Drop until the rope catches in MOVE, m. With this much a topple passes the 60 degrees that the firmware calls a
+    fall before the rope holds it. On a shorter rope (0.3 m) the robot comes to hang at 45 to 50 degrees and stays in
+    MOVE until it is damped."""
     lower_from: float = 0.65
     """Share of the stand ramp after which the winch lowers a hanging robot: the feet should land in the final pose."""
     loaded_speed: float = 0.15

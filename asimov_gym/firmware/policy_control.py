@@ -8,10 +8,10 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from asimov_gym.firmware.alerts import AlertId
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.physics import JointTarget, Reading
 from asimov_gym.policy import PolicyContract, PolicyDriver, PolicyRunner, clip_command
+from asimov_gym.robot.alerts import AlertId
 from asimov_gym.robot.joints import KD, KP, POLICY_TO_JOINT
 
 _NOT_FINITE = 2**32 - 1

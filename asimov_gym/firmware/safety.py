@@ -6,10 +6,11 @@ import math
 
 import numpy as np
 
-from asimov_gym.firmware.alerts import AlertBoard, AlertId
+from asimov_gym.firmware.alerts import AlertBoard
 from asimov_gym.firmware.config import FirmwareConfig
 from asimov_gym.firmware.modes import State
 from asimov_gym.physics import Reading
+from asimov_gym.robot.alerts import AlertId
 from asimov_gym.robot.joints import RANGE
 
 

@@ -7,6 +7,7 @@ import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -37,7 +38,8 @@ class CPhysics:
         threads: size of the thread pool; the machine's cores by default, never more than N.
         parameters: per-copy body figures at the start; see `set_parameters`.
         model: a compiled model to simulate instead of the shipped one (other revision, terrain). The shipped one comes
-            without its visual shapes and textures when N > 1: they weigh megabytes a copy and do nothing for the physics.
+            without its visual shapes and textures when N > 1: they weigh megabytes a copy and do nothing for the
+            physics.
         dump_dir: folder for the state of diverged copies; nothing is written when None.
     """
 
@@ -139,15 +141,14 @@ class CPhysics:
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
-    def step(
-        self, target: JointTarget, substeps: int = 1, wrench: Mapping[str, np.ndarray] | None = None
-    ) -> Reading:
+    def step(self, target: JointTarget, substeps: int = 1, wrench: Mapping[str, np.ndarray] | None = None) -> Reading:
         """Advance every copy by `substeps` physics steps.
 
         Args:
             target: joint command; arrays (N, 25) or (N, substeps, 25).
             substeps: physics steps, at least 1.
-            wrench: force and torque on bodies at their centres of mass, world frame, (N, 6) by body name, held for the call.
+            wrench: force and torque on bodies at their centres of mass, world frame, (N, 6) by body name, held for
+                the call.
 
         Raises:
             ValueError: a wrong shape, a value that is not finite, or an unknown body.
@@ -278,9 +279,9 @@ class CPhysics:
         if before is not None and self._dump_dir is not None:
             self._dump_dir.mkdir(parents=True, exist_ok=True)
             path = self._dump_dir / f"diverged_{self.divergences:06d}.npz"
-            arrays = {name: value[bad] for name, value in vars(before).items()}
-            commands = {name: np.asarray(value)[bad] for name, value in vars(target).items() if value is not None}
-            np.savez(path, substeps=substeps, **arrays, **commands)
+            arrays: dict[str, Any] = {name: value[bad] for name, value in vars(before).items()}
+            arrays |= {name: np.asarray(value)[bad] for name, value in vars(target).items() if value is not None}
+            np.savez(path, substeps=substeps, **arrays)
             _log.warning("simulation of %d copies diverged; their state is in %s", len(bad), path)
         else:
             _log.warning("simulation of %d copies diverged and was reset", len(bad))
@@ -344,7 +345,9 @@ def compile_model(profile: str | PhysicsProfile = "evaluation", visuals: bool = 
     return spec.compile()
 
 
-def _feed_forward(load: np.ndarray | None, velocity: np.ndarray | None, damping: np.ndarray | None) -> np.ndarray | None:
+def _feed_forward(
+    load: np.ndarray | None, velocity: np.ndarray | None, damping: np.ndarray | None
+) -> np.ndarray | None:
     """Torque beside the servo's own: `load + kd * velocity`, or None when there is none."""
     if velocity is None:
         return load

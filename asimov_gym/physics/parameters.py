@@ -31,12 +31,14 @@ class BodyParameters:
 class ModelFigures:
     """Places of the variable figures in a compiled model, and their nominal values.
 
-    Changing mass leaves MuJoCo's precomputed constraint scalings at their nominal values; for payloads of a few kilograms
-    that changes the contact softness by a few percent and nothing else.
+    Changing mass leaves MuJoCo's precomputed constraint scalings at their nominal values; for payloads of a few
+    kilograms that changes the contact softness by a few percent and nothing else.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        self.feet = np.array([i for i in range(model.ngeom) if "_foot" in model.geom(i).name or "_toe" in model.geom(i).name])
+        self.feet = np.array(
+            [i for i in range(model.ngeom) if "_foot" in model.geom(i).name or "_toe" in model.geom(i).name]
+        )
         self.servos = np.array([model.actuator(name.removesuffix("_joint")).id for name in JOINT_NAMES])
         self.torso = model.body(_TORSO).id
         self.kp = model.actuator_gainprm[self.servos, 0].copy()

@@ -11,7 +11,9 @@ from array_api_compat import array_namespace
 
 @dataclass(frozen=True)
 class JointTarget:
-    """Command of the one control law, `torque = kp (position - q) + kd (velocity - q') + load`, clamped to the joint's effort.
+    """Command of the one control law, `torque = kp (position - q) + kd (velocity - q') + load`.
+
+    The sum is clamped to the joint's effort.
 
     Each array is (N, 25), held for every substep, or (N, S, 25), one row for each of S substeps.
     """

@@ -1,8 +1,8 @@
 """Rotations between the world, the body and the heading frame, over the array-API standard.
 
-World frame: x forward at the start, y left, z up. Body frame: the pelvis'. Heading frame: the world frame turned about z
-so that x points where the pelvis points. Quaternions are unit (w, x, y, z), body to world. All functions broadcast over
-leading axes.
+World frame: x forward at the start, y left, z up. Body frame: the pelvis'. Heading frame: the world frame turned about
+z so that x points where the pelvis points. Quaternions are unit (w, x, y, z), body to world. All functions broadcast
+over leading axes.
 """
 
 from __future__ import annotations

@@ -8,8 +8,8 @@ Three orders exist, and nothing in this project indexes joints by a literal numb
   linkage (see `asimov_gym.robot.ankle`). Telemetry and dialect A trajectories use it.
 * **policy order**: 23 joints, waist before the arms, right arm before the left, no neck. Networks use it.
 
-Figures: the published models and training configurations of Asimov 1 (see NOTICE). Angles are radians, torques N·m at the
-joint. Left and right joints of a pair turn about opposite axes, so a mirrored joint has the negated value; only
+Figures: the published models and training configurations of Asimov 1 (see NOTICE). Angles are radians, torques N·m at
+the joint. Left and right joints of a pair turn about opposite axes, so a mirrored joint has the negated value; only
 Neck_Pitch keeps its sign.
 """
 

@@ -1,8 +1,8 @@
 """The robot's left-right mirror: swap the sides and negate every joint except Neck_Pitch.
 
-Left and right joints of this robot turn about opposite axes, the waist and the neck yaw about the vertical; so reflecting
-the machine in its x-z plane negates each of those angles. Neck_Pitch turns about the y axis, which the reflection keeps.
-Every mirror here is a signed permutation of a vector's entries, exact and its own inverse.
+Left and right joints of this robot turn about opposite axes, the waist and the neck yaw about the vertical; so
+reflecting the machine in its x-z plane negates each of those angles. Neck_Pitch turns about the y axis, which the
+reflection keeps. Every mirror here is a signed permutation of a vector's entries, exact and its own inverse.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Current and heat of the 25 motors, in motor order (the ankles as A and B), over the array-API standard.
 
-Current is torque over the torque constant. Heat is one first-order lag for each motor, driven by the square of its load:
-T' = (ambient + rise (torque / rated torque)^2 - T) / time constant. No thermal figure of these motors is published; those
-here are assumed, chosen so that rated torque, a continuous rating, settles at 70 degrees, below the robot's trip at 80.
+Current is torque over the torque constant. Heat is one first-order lag for each motor, driven by the square of its
+load: T' = (ambient + rise (torque / rated torque)^2 - T) / time constant. No thermal figure of these motors is
+published; those here are assumed, chosen so that rated torque, a continuous rating, settles at 70 degrees, below the
+robot's trip at 80.
 """
 
 from __future__ import annotations

@@ -105,7 +105,15 @@ class ObservationLayout:
         return tuple(permutation(JOINT_NAMES, group) for group in CAN_GROUPS)
 
     def observe(
-        self, *, gyro: Any, gravity: Any, command: Any, joint_position: Any, joint_velocity: Any, action: Any, clock: Any
+        self,
+        *,
+        gyro: Any,
+        gravity: Any,
+        command: Any,
+        joint_position: Any,
+        joint_velocity: Any,
+        action: Any,
+        clock: Any,
     ) -> Any:
         """The observation vector, (..., width), float32.
 

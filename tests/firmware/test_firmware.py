@@ -25,6 +25,7 @@ from asimov_gym.firmware import (
 )
 from asimov_gym.physics import CPhysics
 from asimov_gym.robot.joints import KD, KP, MOTOR_NAMES, RANGE, STAND_POSITION, joint_index
+from asimov_gym.robot.motor import HeatModel
 
 LEFT_KNEE = joint_index("left_knee_joint")
 ELBOW = joint_index("left_elbow_joint")
@@ -310,7 +311,7 @@ def test_restart_of_a_hot_robot_trips_again(held) -> None:
 
 
 def test_overworked_motor_heats_until_it_trips(make_bench: Callable) -> None:
-    bench = make_bench("hold", motors=MotorConfig(time_constant_s=1.0))
+    bench = make_bench("hold", motors=MotorConfig(heat=HeatModel(time_constant_s=1.0)))
     kp = KP.copy()
     kp[LEFT_KNEE] = 500.0
     goal = STAND_POSITION.copy()

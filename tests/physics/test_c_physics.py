@@ -195,7 +195,7 @@ def test_bad_targets_name_the_field() -> None:
         physics.step(JointTarget(np.zeros((2, 24))), 4)
     bad = np.zeros((2, 25))
     bad[1, 3] = np.nan
-    with pytest.raises(ValueError, match="JointTarget.load of copy 1, left_knee_joint, is not finite"):
+    with pytest.raises(ValueError, match=r"JointTarget\.load of copy 1, left_knee_joint, is not finite"):
         physics.step(JointTarget(np.zeros((2, 25)), load=bad), 4)
     with pytest.raises(ValueError, match="unknown body 'tail'"):
         physics.step(JointTarget(np.zeros((2, 25))), 4, wrench={"tail": np.zeros((2, 6))})

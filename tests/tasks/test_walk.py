@@ -1,4 +1,4 @@
-"""The walking task: its functions obey the mirror, the clock, the contract's order of terms and their own documentation."""
+"""The walking task: its functions obey the mirror, the clock, their ranges and their own documentation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _random_motion(task: WalkTask, n: int = 16, seed: int = 0) -> tuple[WalkStat
     )
     _, _, quat, _ = task.initial_pose(rng.random((n, walk.POSE_DRAWS)))
     reading = Reading(
-        base_position=rng.normal(0, 0.1, (n, 3)) + [0, 0, 0.6],
+        base_position=rng.normal(0, 0.1, (n, 3)) + np.array([0, 0, 0.6]),
         base_quat=quat,
         base_velocity=rng.normal(0, 0.3, (n, 3)),
         gyro=rng.normal(0, 0.3, (n, 3)),
@@ -37,9 +37,9 @@ def _random_motion(task: WalkTask, n: int = 16, seed: int = 0) -> tuple[WalkStat
         joint_position=STAND_POSITION + rng.normal(0, 0.3, (n, 25)),
         joint_velocity=rng.normal(0, 1, (n, 25)),
         joint_torque=rng.normal(0, 10, (n, 25)),
-        foot_position=rng.normal(0, 0.1, (n, 2, 3)) + [0, 0, 0.05],
+        foot_position=rng.normal(0, 0.1, (n, 2, 3)) + np.array([0, 0, 0.05]),
         foot_velocity=rng.normal(0, 0.3, (n, 2, 3)),
-        foot_up=rng.normal(0, 0.1, (n, 2, 3)) + [0, 0, 1],
+        foot_up=rng.normal(0, 0.1, (n, 2, 3)) + np.array([0, 0, 1]),
         foot_force=rng.normal(80, 80, (n, 2, 3)),
     )
     return state, reading
@@ -113,9 +113,21 @@ def test_tracking_is_best_on_the_command() -> None:
         yaw_rate=motion.command[:, 2],
         mean_velocity=motion.command,
     )
-    for term in (rewards.track_velocity, rewards.track_yaw_rate, rewards.track_mean_velocity, rewards.track_mean_yaw_rate):
+    for term in (
+        rewards.track_velocity,
+        rewards.track_yaw_rate,
+        rewards.track_mean_velocity,
+        rewards.track_mean_yaw_rate,
+    ):
         np.testing.assert_allclose(term(on), 1.0)
-        assert (term(replace(on, velocity=on.velocity + 0.5, yaw_rate=on.yaw_rate + 0.5, mean_velocity=on.mean_velocity + 0.5)) < 0.6).all()
+        assert (
+            term(
+                replace(
+                    on, velocity=on.velocity + 0.5, yaw_rate=on.yaw_rate + 0.5, mean_velocity=on.mean_velocity + 0.5
+                )
+            )
+            < 0.6
+        ).all()
 
 
 def test_standing_still_does_not_earn_the_step_reward() -> None:
@@ -171,7 +183,9 @@ def test_commands_fill_their_ranges_and_stand_now_and_then() -> None:
 def test_clock_rests_while_standing_and_commands_are_renewed() -> None:
     task = WalkTask()
     state, _ = _random_motion(task, n=2)
-    state = replace(state, command=np.array([[0.0, 0, 0], [0.5, 0, 0]]), command_left=np.array([5, 1]), phase=np.array([1.0, 1.0]))
+    state = replace(
+        state, command=np.array([[0.0, 0, 0], [0.5, 0, 0]]), command_left=np.array([5, 1]), phase=np.array([1.0, 1.0])
+    )
     assert (task.clock(state)[0] == 0).all() and np.allclose(task.clock(state)[1], [np.cos(1), np.sin(1)])
     after = task.advance(state, np.full((2, walk.COMMAND_DRAWS), 0.5))
     assert after.phase[0] == 1.0 and after.phase[1] == pytest.approx(1.0 + 2 * np.pi * 1.5 * 0.02)

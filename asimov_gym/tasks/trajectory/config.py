@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from asimov_gym.presets import check_range
 from asimov_gym.robot.ankle import FORMS, Form
-from asimov_gym.tasks.walk.config import check_range
 
 DEFAULT_REWARDS: Mapping[str, float] = {
     "track_position": 2.0,
@@ -27,7 +27,8 @@ class TrajectoryConfig:
     """Name of a shipped motion, or path to a YAML file of keyframes; it repeats until the episode ends."""
     episode_s: float = 12.0
     ahead: tuple[int, ...] = (0, 1, 5, 10, 25)
-    """Which reference targets are observed, in steps of 20 ms from now. The one at 1 is where the next step should end."""
+    """Which reference targets are observed, in steps of 20 ms from now; the one at 1 is where the next step should
+    end."""
     gains: bool = False
     """Whether actions carry position and damping gains."""
     ankle: Form = "linear"
@@ -39,7 +40,9 @@ class TrajectoryConfig:
 
     def __post_init__(self) -> None:
         check_range("episode_s", self.episode_s, 0.1, 1e6)
-        if not self.ahead or any(isinstance(k, bool) or not isinstance(k, int) or not 0 <= k <= 500 for k in self.ahead):
+        if not self.ahead or any(
+            isinstance(k, bool) or not isinstance(k, int) or not 0 <= k <= 500 for k in self.ahead
+        ):
             raise ValueError(f"ahead must be whole numbers in [0, 500], at least one, got {self.ahead!r}")
         if not isinstance(self.gains, bool):
             raise ValueError(f"gains must be True or False, got {self.gains!r}")

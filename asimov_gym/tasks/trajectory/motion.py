@@ -1,13 +1,14 @@
 """Reference motions: joint angles over time, from keyframes in YAML.
 
 A file has the keys `keyframes`, a list of `{time: seconds, joints: {name: rad}}` that begins at time 0 and ends in the
-pose it began with, and optionally `symmetric: true`, by which left joints also set their mirrored right ones. Joints that
-a keyframe does not name stand; names may leave out `_joint`. Between keyframes each joint follows the smoothest polynomial
-that rests at both ends (minimum jerk), so motions start and stop gently, and they repeat without a jump.
+pose it began with, and optionally `symmetric: true`, by which left joints also set their mirrored right ones. Joints
+that a keyframe does not name stand; names may leave out `_joint`. Between keyframes each joint follows the smoothest
+polynomial that rests at both ends (minimum jerk), so motions start and stop gently, and they repeat without a jump.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -121,7 +122,7 @@ def motion_from_keyframes(name: str, data: Any, dt: float) -> Motion:
         _check_keys(place, keyframe, _KEYFRAME_KEYS)
         times.append(_number(f"{place}.time", keyframe.get("time")))
         poses.append(_pose(place, keyframe.get("joints"), symmetric))
-    if times[0] != 0.0 or any(later - earlier < dt for earlier, later in zip(times, times[1:], strict=False)):
+    if times[0] != 0.0 or any(later - earlier < dt for earlier, later in itertools.pairwise(times)):
         raise MotionError(f"{name}: keyframe times must begin at 0 and grow by at least {dt:g} s, got {times}")
     if not np.array_equal(poses[0], poses[-1]):
         raise MotionError(f"{name}: the last keyframe must have the pose of the first, since the motion repeats")

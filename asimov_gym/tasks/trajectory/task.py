@@ -1,6 +1,7 @@
 """The trajectory task: actions, state, observation, reward and end of an episode as pure functions of batched arrays.
 
-Actions and the reference are in motor order, as in the robot's trajectory commands; everything inside is in joint order.
+Actions and the reference are in motor order, as in the robot's trajectory commands; everything inside is in joint
+order.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from asimov_gym.physics import DECIMATION, TIMESTEP, JointTarget, Reading
 from asimov_gym.robot import ankle
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE
 from asimov_gym.robot.motor import DEFAULT_HEAT, heat
+from asimov_gym.robot.safety_limits import TRIP_C, has_fallen
 from asimov_gym.tasks.trajectory import rewards, telemetry
 from asimov_gym.tasks.trajectory.config import TrajectoryConfig
 from asimov_gym.tasks.trajectory.motion import Motion, load_motion
-from asimov_gym.tasks.walk.task import FALL_GRAVITY_Z, FALL_HEIGHT
 
 DT = TIMESTEP * DECIMATION
 """Control step, s."""
@@ -135,12 +136,12 @@ class TrajectoryTask:
 
     def fallen(self, reading: Reading) -> Any:
         """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m."""
-        return (reading.gravity[:, 2] > FALL_GRAVITY_Z) | (reading.base_position[:, 2] < FALL_HEIGHT)
+        return has_fallen(reading.gravity, reading.base_position[:, 2])
 
     def overheated(self, state: TrajectoryState) -> Any:
         """Copies with a motor at the temperature at which the robot goes limp, (N,) bool."""
         xp = array_namespace(state.temperature)
-        return xp.any(state.temperature >= telemetry.TRIP_C, axis=-1)
+        return xp.any(state.temperature >= TRIP_C, axis=-1)
 
     # -- what learners see ---------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""The robot's telemetry as an observation: the fixed-shape numeric fields of `EdgeTelemetry`, by their names in the message.
+"""The robot's telemetry as an observation: the fixed-shape numeric fields of the message, under their names there.
 
 Joint fields are in motor order, the ankles as the motors A and B, just as the robot reports them.
 """
@@ -15,20 +15,14 @@ from array_api_compat import array_namespace
 
 from asimov_gym.physics import Reading
 from asimov_gym.robot import ankle
+from asimov_gym.robot.alerts import DAMP_LATCHED, AlertId, error_bit
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE, VELOCITY_LIMIT, joint_index
 from asimov_gym.robot.motor import PEAK_CURRENT, motor_current
+from asimov_gym.robot.safety_limits import TRIP_C, WARNING_C
 
 FW_MODE_MOVE = 2
 """What `fw_mode` says while joints are driven; 0 is DAMP, 1 is STAND."""
-WARNING_C = 60.0
-"""Motor temperature of the alert MOTOR_TEMP_HIGH, degrees Celsius."""
-TRIP_C = 80.0
-"""Motor temperature of the critical alert MOTOR_OVERTEMP."""
-MOTOR_OVERTEMP, FALL_DETECTED, MOTOR_TEMP_HIGH = 2, 7, 17
-"""Ids of the alerts that this environment can cause."""
 _ANKLE_ROLL = np.array([joint_index(f"{side}_ankle_roll_joint") for side in ("left", "right")])
-_LATCHED = 1
-"""Bit 0 of `error_flags`: the robot has latched DAMP. Bit 1 + n is critical alert n."""
 
 
 def motor_range(form: ankle.Form) -> np.ndarray:
@@ -112,13 +106,17 @@ def error_flags(fallen: Any, temperature: Any) -> Any:
     """The robot's error bits, (N,) int64; arguments as of `alert_count`."""
     xp = array_namespace(temperature)
     tripped = xp.any(temperature >= TRIP_C, axis=-1)
-    bits = (1 << (1 + FALL_DETECTED)) * xp.astype(fallen, xp.int64)
-    bits = bits + (1 << (1 + MOTOR_OVERTEMP)) * xp.astype(tripped, xp.int64)
-    return bits + _LATCHED * xp.astype(fallen | tripped, xp.int64)
+    bits = error_bit(AlertId.FALL_DETECTED) * xp.astype(fallen, xp.int64)
+    bits = bits + error_bit(AlertId.MOTOR_OVERTEMP) * xp.astype(tripped, xp.int64)
+    return bits + DAMP_LATCHED * xp.astype(fallen | tripped, xp.int64)
 
 
 def active_alerts(fallen: bool, temperature: np.ndarray) -> tuple[tuple[int, int], ...]:
     """Alerts of one robot as (id, source): source is the motor, 0 for a fall. `temperature` is (25,)."""
-    falls = ((FALL_DETECTED, 0),) if fallen else ()
-    trips = tuple((MOTOR_OVERTEMP, int(motor)) for motor in np.flatnonzero(temperature >= TRIP_C))
-    return falls + trips + tuple((MOTOR_TEMP_HIGH, int(motor)) for motor in np.flatnonzero(temperature >= WARNING_C))
+    falls = ((int(AlertId.FALL_DETECTED), 0),) if fallen else ()
+    trips = tuple((int(AlertId.MOTOR_OVERTEMP), int(motor)) for motor in np.flatnonzero(temperature >= TRIP_C))
+    return (
+        falls
+        + trips
+        + tuple((int(AlertId.MOTOR_TEMP_HIGH), int(motor)) for motor in np.flatnonzero(temperature >= WARNING_C))
+    )

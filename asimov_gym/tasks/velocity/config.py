@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from asimov_gym.tasks.walk.config import check_interval, check_range
+from asimov_gym.presets import check_interval, check_range
 
 DEFAULT_REWARDS: Mapping[str, float] = {
     "progress": 1.0,
@@ -26,7 +26,8 @@ class VelocityConfig:
     distance: tuple[float, float] = (1.0, 2.5)
     """Length of a leg, from one waypoint to the next, m."""
     turn: float = 1.2
-    """Largest change of direction from leg to leg, to either side, rad; the first leg's is against the robot's heading."""
+    """Largest change of direction from leg to leg, to either side, rad; the first one is against the robot's
+    heading."""
     reach: float = 0.25
     """A waypoint is reached within this distance of the pelvis, m."""
     episode_s: float = 60.0

@@ -12,9 +12,9 @@ from array_api_compat import array_namespace
 from asimov_gym.physics import DECIMATION, TIMESTEP, Reading
 from asimov_gym.robot import frames
 from asimov_gym.robot.joints import RANGE, STAND_POSITION, VELOCITY_LIMIT
+from asimov_gym.robot.safety_limits import has_fallen
 from asimov_gym.tasks.velocity import rewards
 from asimov_gym.tasks.velocity.config import VelocityConfig
-from asimov_gym.tasks.walk.task import FALL_GRAVITY_Z, FALL_HEIGHT
 
 POLICY_STEPS = 5
 """Steps of the walking policy per command: 50 Hz against 10 Hz."""
@@ -134,7 +134,7 @@ class VelocityTask:
 
     def fallen(self, reading: Reading) -> Any:
         """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m."""
-        return (reading.gravity[:, 2] > FALL_GRAVITY_Z) | (reading.base_position[:, 2] < FALL_HEIGHT)
+        return has_fallen(reading.gravity, reading.base_position[:, 2])
 
     def finished(self, state: VelocityState) -> Any:
         """Copies that have reached all waypoints, (N,) bool."""

@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from asimov_gym.presets import check_interval, check_range
 from asimov_gym.robot.observation import LAYOUTS, STANDING_THRESHOLD
-
-
-def check_range(name: str, value: float, low: float, high: float) -> None:
-    """Raise ValueError unless `low <= value <= high`."""
-    if not (isinstance(value, int | float) and math.isfinite(value) and low <= value <= high):
-        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {value!r}")
-
-
-def check_interval(name: str, value: tuple[float, float], low: float, high: float) -> None:
-    """Raise ValueError unless `value` is an ordered pair within [low, high]."""
-    if len(value) != 2:
-        raise ValueError(f"{name} must be a pair [low, high], got {value!r}")
-    check_range(f"{name}[0]", value[0], low, high)
-    check_range(f"{name}[1]", value[1], low, high)
-    if value[0] > value[1]:
-        raise ValueError(f"{name} must be ordered low to high, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -145,8 +129,8 @@ DEFAULT_REWARDS: Mapping[str, float] = {
     "track_mean_velocity": 1.5,
     "track_mean_yaw_rate": 1.0,
     "alive": 0.5,
-    "foot_height": 3.0,
-    "foot_contact": 0.5,
+    "foot_height": 4.0,
+    "foot_contact": 1.0,
     "tilt": -5.0,
     "pose": -0.3,
     "tilt_rate": -0.15,

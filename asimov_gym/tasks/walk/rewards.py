@@ -16,8 +16,6 @@ from array_api_compat import array_namespace
 from asimov_gym.physics import Reading
 from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
 
-SOLE_DEPTH = 0.009
-"""The sole's lowest point below the foot site, m."""
 CONTACT_FORCE = 5.0
 """A foot carries when the ground pushes it up with more than this, N."""
 
@@ -105,7 +103,7 @@ def foot_height(m: Motion) -> Any:
     """Lift each foot by its clock; keep both on the ground at rest."""
     xp = array_namespace(m.velocity)
     error = m.foot_height - m.step_height * xp.clip(m.swing, 0.0, 1.0)
-    return xp.exp(-xp.sum(error * error, axis=-1) / 0.004)
+    return xp.exp(-xp.sum(error * error, axis=-1) / 0.003)
 
 
 def foot_contact(m: Motion) -> Any:

@@ -16,17 +16,15 @@ from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, BodyParameters, Reading, delayed_position
 from asimov_gym.robot import frames, gait_clock, mirror
+from asimov_gym.robot.feet import SOLE_DEPTH
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
 from asimov_gym.robot.observation import ObservationLayout, observation_layout
+from asimov_gym.robot.safety_limits import has_fallen
 from asimov_gym.tasks.walk import rewards
 from asimov_gym.tasks.walk.config import WalkConfig
 
 DT = TIMESTEP * DECIMATION
 """Policy step, s."""
-FALL_GRAVITY_Z = -0.5
-"""A fall: the body-frame gravity's z rises above this (tilt beyond 60 degrees) ..."""
-FALL_HEIGHT = 0.35
-"""... or the pelvis sinks below this, m."""
 _WEIGHT = 316.0
 """The robot's weight, N; scale of contact forces for the critic."""
 _CRITIC_BOUND = 20.0
@@ -101,12 +99,12 @@ class WalkTask:
         xp = array_namespace(draws)
         centred = 2.0 * draws - 1.0
         yaw = math.pi * centred[:, 0]
-        roll, pitch = 0.1 * centred[:, 1], 0.15 * centred[:, 2]
+        roll, pitch = 0.05 * centred[:, 1], 0.08 * centred[:, 2]
         quat = _from_euler(roll, pitch, yaw)
         joints = xp.asarray(STAND_POSITION, dtype=draws.dtype) + 0.1 * centred[:, 5 : 5 + _JOINTS]
         joints = xp.clip(joints, xp.asarray(RANGE[:, 0], dtype=draws.dtype), xp.asarray(RANGE[:, 1], dtype=draws.dtype))
-        height = 0.63 + 0.02 * draws[:, 3] + 0.12 * (xp.abs(roll) + xp.abs(pitch))
-        velocity = 0.3 * centred[:, 5 + _JOINTS :]
+        height = 0.62 + 0.01 * draws[:, 3] + 0.1 * (xp.abs(roll) + xp.abs(pitch))
+        velocity = 0.2 * centred[:, 5 + _JOINTS :]
         return joints, height, quat, velocity
 
     def initial_state(self, draws: Any) -> WalkState:
@@ -230,7 +228,7 @@ class WalkTask:
             yaw_rate=turning,
             mean_velocity=mean,
             foot_offset=frames.to_heading(angle[:, None], offset),
-            foot_height=reading.foot_position[:, :, 2] - rewards.SOLE_DEPTH,
+            foot_height=reading.foot_position[:, :, 2] - SOLE_DEPTH,
             contact=xp.astype(reading.foot_force[:, :, 2] > rewards.CONTACT_FORCE, velocity.dtype),
             command=state.command,
             moving=walking,
@@ -246,7 +244,7 @@ class WalkTask:
 
     def fallen(self, reading: Reading) -> Any:
         """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m."""
-        return (reading.gravity[:, 2] > FALL_GRAVITY_Z) | (reading.base_position[:, 2] < FALL_HEIGHT)
+        return has_fallen(reading.gravity, reading.base_position[:, 2])
 
     def advance(self, state: WalkState, command_draws: Any) -> WalkState:
         """State for the next step: clocks run, commands whose time is up are drawn anew."""
@@ -303,7 +301,7 @@ class WalkTask:
             velocity,
             10.0 * (reading.base_position[:, 2:3] - 0.6),
             state.mean_velocity - state.command,
-            10.0 * (reading.foot_position[:, :, 2] - rewards.SOLE_DEPTH),
+            10.0 * (reading.foot_position[:, :, 2] - SOLE_DEPTH),
             force,
             reading.foot_velocity[:, :, 2],
             body.foot_friction[:, None],

@@ -1,0 +1,167 @@
+"""A batch of robots that walk by a policy and are steered by velocity commands, on C physics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any, Protocol, cast, runtime_checkable
+
+import gymnasium as gym
+import numpy as np
+
+from asimov_gym.assets import asset_path
+from asimov_gym.envs.batch import BatchStep, Info
+from asimov_gym.envs.streams import CopyStreams
+from asimov_gym.physics import DECIMATION, CPhysics, JointTarget, PhysicsProfile
+from asimov_gym.policy import PolicyContract, PolicyDriver, PolicyRunner, load_policy
+from asimov_gym.robot.joints import KD, KP, POLICY_TO_JOINT
+from asimov_gym.robot.observation import POLICY_RATE_HZ
+from asimov_gym.tasks.velocity import VelocityConfig, VelocityState, VelocityTask
+from asimov_gym.tasks.velocity.task import COMMAND_LIMIT, OBSERVATION_BOUND, POLICY_STEPS
+
+_SHIPPED = ("policies", "asimov_walk.onnx")
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A loaded network, as `asimov_gym.policy.load_policy` returns it."""
+
+    contract: PolicyContract
+
+    def infer(self, observation: np.ndarray) -> np.ndarray:
+        """Raw outputs (n, 23) for observations (n, width)."""
+        ...
+
+
+class VelocityBatch:
+    """N robots behind the protocol of `asimov_gym.envs.batch`.
+
+    Args:
+        copies: N.
+        config: the task.
+        policy: the walking network: a file, or a loaded one; the shipped one when None.
+        profile: physics profile.
+        threads: size of the physics thread pool.
+
+    Raises:
+        FileNotFoundError: there is no such policy file.
+        ValueError: the policy is not one that this robot can walk by.
+    """
+
+    option_names: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        copies: int,
+        config: VelocityConfig | None = None,
+        policy: str | Path | Policy | None = None,
+        profile: str | PhysicsProfile = "evaluation",
+        threads: int | None = None,
+    ) -> None:
+        self.task = VelocityTask(config)
+        self.copies = copies
+        runner = _loaded(policy)
+        self._driver = PolicyDriver(cast(PolicyRunner, runner), copies)
+        self._kp, self._kd = _gains(runner.contract, copies)
+        self.physics = CPhysics(copies, profile, threads)
+        self._streams = CopyStreams(range(copies))
+        self._standing = self.physics.standing()[0]
+        self.state: VelocityState = self.task.initial_state(np.zeros((copies, self.task.start_draws)))[0]
+        self.reading = self.physics.read()
+        bound = OBSERVATION_BOUND.astype(np.float32)
+        self.observation_space = gym.spaces.Box(-bound, bound, dtype=np.float32)
+        limit = COMMAND_LIMIT.astype(np.float32)
+        self.action_space = gym.spaces.Box(-limit, limit, dtype=np.float32)
+
+    def seed(self, seeds: Sequence[int]) -> None:
+        self._streams = CopyStreams(seeds)
+
+    def restart(self, which: np.ndarray, options: Mapping[str, Any]) -> tuple[np.ndarray, Info]:
+        draws = self._streams.draw(self.task.start_draws, which).astype(np.float64)
+        fresh, heading = self.task.initial_state(draws)
+        qpos = np.tile(self._standing, (len(heading), 1))
+        qpos[:, 3:7] = 0.0
+        qpos[:, 3], qpos[:, 6] = np.cos(0.5 * heading), np.sin(0.5 * heading)
+        self.physics.reset(qpos, np.zeros((len(heading), self.physics.model.nv)), copies=which)
+        self._driver.reset(which)
+        values = {f.name: np.array(getattr(self.state, f.name)) for f in fields(VelocityState)}
+        for name, value in values.items():
+            value[which] = getattr(fresh, name)
+        self.state = replace(self.state, **values)
+        self.reading = self.physics.read()
+        return self.task.observe(self.state, self.reading), self._info()
+
+    def step(self, action: np.ndarray) -> BatchStep:
+        self.state = self.task.push_command(self.state, action.astype(np.float64))
+        before = self.reading
+        fallen, diverged = np.zeros(self.copies, dtype=bool), np.zeros(self.copies, dtype=bool)
+        for _ in range(POLICY_STEPS):
+            reading = self.reading
+            target = self._driver.step(
+                gyro=reading.gyro,
+                gravity=reading.gravity,
+                command=self.state.command[:, 0],
+                joint_position=reading.joint_position,
+                joint_velocity=reading.joint_velocity,
+            )
+            self.reading = self.physics.step(JointTarget(target, kp=self._kp, kd=self._kd), DECIMATION)
+            diverged |= self.physics.diverged
+            fallen |= self.task.fallen(self.reading)
+        self.state, advance = self.task.advance(self.state, before, self.reading, fallen | diverged)
+        reward, shares = self.task.reward(advance)
+        finished = self.task.finished(self.state)
+        terminated = fallen | diverged | finished
+        truncated = (self.state.step >= self.task.episode_steps) & ~terminated
+        info = self._info() | {
+            "applied_command": self._driver.command.astype(np.float32),
+            "reward_terms": {name: np.array(share, dtype=np.float32) for name, share in shares.items()},
+            "clipped": (np.abs(action) > self.action_space.high).sum(axis=1),
+            "success": finished,
+            "diverged": diverged,
+        }
+        reward = np.where(diverged, 0.0, reward).astype(np.float32)
+        return BatchStep(self.task.observe(self.state, self.reading), reward, terminated, truncated, info)
+
+    def _info(self) -> Info:
+        return {
+            "waypoints_reached": np.array(self.state.aim),
+            "distance": self.task.distance(self.state, self.reading).astype(np.float32),
+        }
+
+    def markers(self, copy: int) -> np.ndarray:
+        """The waypoints still to visit, just above the ground."""
+        ahead = self.state.waypoint[copy, int(self.state.aim[copy]) :]
+        return np.concatenate([ahead, np.full((len(ahead), 1), 0.06)], axis=1)
+
+    def close(self) -> None:
+        self.physics.close()
+
+
+def _loaded(policy: str | Path | Policy | None) -> Policy:
+    if policy is None:
+        try:
+            policy = asset_path(*_SHIPPED)
+        except FileNotFoundError as error:
+            raise FileNotFoundError(
+                f"policy: none was given, and the shipped walking policy is missing. {error} "
+                "Train one with `python -m train ppo` and pass policy='.../policy.onnx'."
+            ) from error
+    if isinstance(policy, str | Path):
+        policy = load_policy(policy)
+    if not isinstance(policy, Policy):
+        raise ValueError(f"policy must be a path to an ONNX file or a loaded policy, got {policy!r}")
+    rate = policy.contract.policy_rate_hz
+    if rate != POLICY_RATE_HZ:
+        raise ValueError(f"policy: its policy_rate_hz must be {POLICY_RATE_HZ:g}, got {rate!r}")
+    return policy
+
+
+def _gains(contract: PolicyContract, copies: int) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The policy's gains in joint order, (copies, 25) each; None where they are the robot's own."""
+    kp, kd = KP.copy(), KD.copy()
+    kp[POLICY_TO_JOINT] = contract.joint_stiffness
+    kd[POLICY_TO_JOINT] = contract.joint_damping
+    if np.array_equal(kp, KP) and np.array_equal(kd, KD):
+        return None, None
+    return np.tile(kp, (copies, 1)), np.tile(kd, (copies, 1))

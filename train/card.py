@@ -1,0 +1,129 @@
+"""A policy's card: how it was trained, how long, its learning curves and its evaluation."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from pathlib import Path
+
+import numpy as np
+
+from asimov_gym.evaluation.report import Report
+from asimov_gym.policy import PolicyRunner
+from train.run_folder import RunFolder
+
+CURVES = (
+    ("episode/length_s", "episode length, s"),
+    ("episode/reward", "reward per second"),
+    ("error/velocity", "velocity error, m/s"),
+    ("error/yaw_rate", "turning error, rad/s"),
+    ("policy/std", "exploration"),
+    ("curriculum/kick", "kick level"),
+)
+"""Curves on the card: name in the run's curves, title."""
+
+
+def read_curves(folder: RunFolder) -> dict[str, np.ndarray]:
+    """Samples and value of every curve on the card, (n, 2) each.
+
+    Raises:
+        FileNotFoundError: the run has no curves.
+    """
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    if not list((folder.path / "curves").glob("events.*")):
+        raise FileNotFoundError(f"{folder.path} has no curves")
+    events = EventAccumulator(str(folder.path / "curves"), size_guidance={"scalars": 0})
+    events.Reload()
+    known = set(events.Tags()["scalars"])
+    return {
+        name: np.array([(e.step, e.value) for e in events.Scalars(name)], dtype=float)
+        for name, _ in CURVES
+        if name in known
+    }
+
+
+def plot_curves(curves: dict[str, np.ndarray], path: Path) -> None:
+    """Draw the curves over samples, one small plot each."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(2, 3, figsize=(12, 6), constrained_layout=True)
+    for axis, (name, title) in zip(axes.flat, CURVES, strict=True):
+        if name in curves:
+            samples, values = curves[name].T
+            axis.plot(samples / 1e6, values, linewidth=1.0)
+        axis.set_title(title, fontsize=10)
+        axis.set_xlabel("million samples", fontsize=8)
+        axis.grid(alpha=0.3)
+    figure.savefig(path, dpi=90)
+    pyplot.close(figure)
+
+
+def save_curves(curves: dict[str, np.ndarray], path: Path, points: int = 200) -> None:
+    """Write the curves as CSV, averaged down to so many rows."""
+    names = [name for name, _ in CURVES if name in curves]
+    samples = curves[names[0]][:, 0]
+    bins = np.linspace(samples[0], samples[-1], points + 1)
+    middle = 0.5 * (bins[1:] + bins[:-1])
+    columns = [middle]
+    for name in names:
+        columns.append(np.interp(middle, curves[name][:, 0], curves[name][:, 1]))
+    np.savetxt(
+        path, np.stack(columns, axis=1), delimiter=",", header="samples," + ",".join(names), comments="", fmt="%.6g"
+    )
+
+
+def write_card(folder: RunFolder, policy: PolicyRunner, report: Report, path: Path, notes: str = "") -> None:
+    """Write `path` (Markdown), and beside it the curves (PNG and CSV) and every figure (JSON).
+
+    Args:
+        folder: the run.
+        policy: its exported network.
+        report: its evaluation.
+        path: the card.
+        notes: what a reader should also know.
+    """
+    contract, config, origin = policy.contract, folder.config(), folder.origin()
+    curves = read_curves(folder)
+    plot_curves(curves, path.with_suffix(".curves.png"))
+    save_curves(curves, path.with_suffix(".curves.csv"))
+    path.with_suffix(".json").write_text(json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8")
+    training = contract.training or {}
+    ranges = ", ".join(
+        f"{axis} {low:g} to {high:g}"
+        for axis, (low, high) in zip(("vx", "vy", "wz"), contract.command_ranges, strict=True)
+    )
+    card = f"""# {path.stem}
+
+| | |
+|---|---|
+| task | `Asimov-Walk-v0`, layout `{contract.observation.layout}` |
+| made by | `python -m train ppo --preset {origin["preset"]}`, commit `{contract.trained_commit}` |
+| samples | {training.get("samples", 0):,} at {config.copies} copies, {training.get("seconds", 0) / 60:.0f} minutes |
+| machine | {platform.system()}, {platform.machine()}, {os.cpu_count()} cores, no GPU |
+| network | {" × ".join(map(str, config.learner.hidden))} ELU, normaliser inside |
+| gait clock | {contract.gait_frequency_hz} Hz |
+| trained commands | {ranges} |
+| robot | {contract.robot_revision}, model `{(contract.model_sha256 or "")[:12]}` |
+
+## Evaluation
+
+`asimov eval`: evaluation physics (full collisions, elliptic cone, dry joint friction), 20 s walks, action delays of
+0 to 25 ms by seed, no rope, no noise. Errors are those of the velocity averaged over a gait cycle, after two seconds.
+
+```
+{report.summary()}
+```
+
+{report.markdown()}
+
+{notes}
+## Learning curves
+
+![curves]({path.with_suffix(".curves.png").name})
+"""
+    path.write_text(card, encoding="utf-8")
