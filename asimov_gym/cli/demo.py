@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from asimov_gym.cli.renderer import headless_backend, install_line
+from asimov_gym.robot.safety_limits import FALL_GRAVITY_Z, FALL_HEIGHT
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,10 +34,8 @@ INTERVAL = 0.02
 """Seconds of simulated time between samples: one policy step."""
 SAMPLES_PER_FRAME = 2
 """A frame of the video every other sample: 25 a second."""
-LOWEST_PELVIS = 0.35
-"""A pelvis below this (m) is a fall, as in the evaluation."""
-LARGEST_TILT = 60.0
-"""So is a tilt of more than this, degrees."""
+LARGEST_TILT = math.degrees(math.acos(-FALL_GRAVITY_Z))
+"""A tilt of more than this is a fall, degrees."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Walk:
         from asimov_gym.edge.wire import cloud_pb2
 
         failures = []
-        if self.lowest < LOWEST_PELVIS or self.largest_tilt > LARGEST_TILT:
+        if self.lowest < FALL_HEIGHT or self.largest_tilt > LARGEST_TILT:
             failures.append(f"the robot fell: pelvis down to {self.lowest:.2f} m, tilt up to {self.largest_tilt:.0f}°")
         if self.error_flags:
             failures.append(f"the firmware reported a fault: error_flags 0x{self.error_flags:x}")

@@ -10,9 +10,9 @@ from types import TracebackType
 
 from asimov_gym.edge.edge import Edge
 from asimov_gym.edge.events import Code, error
-from asimov_gym.firmware import MICROSECONDS, Clock, Firmware, FirmwareConfig, GantryMode, Runner, StepClock
+from asimov_gym.firmware import MICROSECONDS, Clock, Firmware, FirmwareConfig, GantryMode, StepClock
 from asimov_gym.physics import CPhysics
-from asimov_gym.policy import load_policy
+from asimov_gym.policy import Policy, load_policy
 
 _log = logging.getLogger(__name__)
 
@@ -42,7 +42,7 @@ class SimulatedRobot:
 
     def __init__(
         self,
-        policy: str | Path | Runner | None = None,
+        policy: str | Path | Policy | None = None,
         clock: Clock | None = None,
         gantry: GantryMode | None = None,
         seed: int = 0,

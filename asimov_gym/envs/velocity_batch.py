@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,25 +13,13 @@ import numpy as np
 from asimov_gym.assets import asset_path
 from asimov_gym.envs.batch import BatchStep, Info
 from asimov_gym.envs.streams import CopyStreams
-from asimov_gym.physics import DECIMATION, CPhysics, JointTarget, PhysicsProfile
-from asimov_gym.policy import PolicyContract, PolicyDriver, PolicyRunner, load_policy
-from asimov_gym.robot.joints import KD, KP, POLICY_TO_JOINT
+from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile
+from asimov_gym.policy import Policy, PolicyDriver, joint_gains, load_policy
 from asimov_gym.robot.observation import POLICY_RATE_HZ
 from asimov_gym.tasks.velocity import VelocityConfig, VelocityState, VelocityTask
 from asimov_gym.tasks.velocity.task import COMMAND_LIMIT, OBSERVATION_BOUND, POLICY_STEPS
 
 _SHIPPED = ("policies", "asimov_walk.onnx")
-
-
-@runtime_checkable
-class Policy(Protocol):
-    """A loaded network, as `asimov_gym.policy.load_policy` returns it."""
-
-    contract: PolicyContract
-
-    def infer(self, observation: np.ndarray) -> np.ndarray:
-        """Raw outputs (n, 23) for observations (n, width)."""
-        ...
 
 
 class VelocityBatch:
@@ -62,9 +50,9 @@ class VelocityBatch:
         self.task = VelocityTask(config)
         self.copies = copies
         runner = _loaded(policy)
-        self._driver = PolicyDriver(cast(PolicyRunner, runner), copies)
-        self._kp, self._kd = _gains(runner.contract, copies)
-        self.physics = CPhysics(copies, profile, threads)
+        self._driver = PolicyDriver(runner, copies)
+        body = BodyParameters.with_gains(*joint_gains(runner.contract), copies)
+        self.physics = CPhysics(copies, profile, threads, body)
         self._streams = CopyStreams(range(copies))
         self._standing = self.physics.standing()[0]
         self.state: VelocityState = self.task.initial_state(np.zeros((copies, self.task.start_draws)))[0]
@@ -105,7 +93,7 @@ class VelocityBatch:
                 joint_position=reading.joint_position,
                 joint_velocity=reading.joint_velocity,
             )
-            self.reading = self.physics.step(JointTarget(target, kp=self._kp, kd=self._kd), DECIMATION)
+            self.reading = self.physics.step(JointTarget(target), DECIMATION)
             diverged |= self.physics.diverged
             fallen |= self.task.fallen(self.reading)
         self.state, advance = self.task.advance(self.state, before, self.reading, fallen | diverged)
@@ -155,13 +143,3 @@ def _loaded(policy: str | Path | Policy | None) -> Policy:
     if rate != POLICY_RATE_HZ:
         raise ValueError(f"policy: its policy_rate_hz must be {POLICY_RATE_HZ:g}, got {rate!r}")
     return policy
-
-
-def _gains(contract: PolicyContract, copies: int) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """The policy's gains in joint order, (copies, 25) each; None where they are the robot's own."""
-    kp, kd = KP.copy(), KD.copy()
-    kp[POLICY_TO_JOINT] = contract.joint_stiffness
-    kd[POLICY_TO_JOINT] = contract.joint_damping
-    if np.array_equal(kp, KP) and np.array_equal(kd, KD):
-        return None, None
-    return np.tile(kp, (copies, 1)), np.tile(kd, (copies, 1))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from asimov_gym.evaluation.walking import CommandResult, PushResult, StandingResult, push, stand, walk_grid
-from asimov_gym.policy import PolicyRunner
+from asimov_gym.policy import Policy
 
 StageProgress = Callable[[str, int, int], None]
 
@@ -98,7 +98,7 @@ class Report:
 
 
 def evaluate(
-    policy: PolicyRunner,
+    policy: Policy,
     seeds: int = 20,
     seconds: float = 20.0,
     pushes: bool = True,

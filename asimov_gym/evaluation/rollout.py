@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, Reading, delayed_position
-from asimov_gym.policy import PolicyDriver, PolicyRunner
+from asimov_gym.policy import Policy, PolicyDriver, joint_gains
 from asimov_gym.robot import frames
-from asimov_gym.robot.joints import KD, KP, POLICY_TO_JOINT, RANGE, STAND_POSITION
+from asimov_gym.robot.joints import RANGE, STAND_POSITION
 from asimov_gym.robot.observation import POLICY_RATE_HZ
 from asimov_gym.robot.safety_limits import has_fallen
 
@@ -55,7 +55,7 @@ class Trace:
 
 
 def roll_out(
-    policy: PolicyRunner,
+    policy: Policy,
     seeds: np.ndarray,
     seconds: float,
     command: Callable[[float], np.ndarray],
@@ -75,7 +75,8 @@ def roll_out(
         threads: physics threads; the machine's cores when omitted.
     """
     n, steps = len(seeds), round(seconds * POLICY_RATE_HZ)
-    physics = CPhysics(n, "evaluation", threads, parameters=policy_gains(policy, n))
+    body = BodyParameters.with_gains(*joint_gains(policy.contract), n)
+    physics = CPhysics(n, "evaluation", threads, body)
     driver = PolicyDriver(policy, n)
     qpos, qvel = physics.standing()
     joints = STAND_POSITION + np.stack(
@@ -119,15 +120,6 @@ def roll_out(
         fall_step=np.where(fall_step == steps, len(arrays["command"]), fall_step),
         start=start,
     )
-
-
-def policy_gains(policy: PolicyRunner, copies: int) -> BodyParameters | None:
-    """Body figures that give every copy the gains of the policy's contract; None where they are the robot's own."""
-    kp, kd = KP.copy(), KD.copy()
-    kp[POLICY_TO_JOINT], kd[POLICY_TO_JOINT] = policy.contract.joint_stiffness, policy.contract.joint_damping
-    if np.array_equal(kp, KP) and np.array_equal(kd, KD):
-        return None
-    return BodyParameters(kp_scale=np.tile(kp / KP, (copies, 1)), kd_scale=np.tile(kd / KD, (copies, 1)))
 
 
 def _record(rows: dict[str, list[np.ndarray]], command: np.ndarray, reading: Reading) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asimov_gym.evaluation.rollout import Trace, roll_out
-from asimov_gym.policy import PolicyRunner
+from asimov_gym.policy import Policy
 
 SETTLE_S = 2.0
 """Tracking is judged after this."""
@@ -32,7 +32,7 @@ def moving_mean(values: np.ndarray, width: int) -> np.ndarray:
     return (total[width:] - total[:-width]) / width
 
 
-def gait_period(policy: PolicyRunner) -> float:
+def gait_period(policy: Policy) -> float:
     """Length of the policy's gait cycle, s."""
     frequency = policy.contract.gait_frequency_hz
     return CYCLE_WITHOUT_CLOCK_S if frequency is None else 1.0 / frequency
@@ -74,7 +74,7 @@ class CommandResult:
 
 
 def walk_grid(
-    policy: PolicyRunner,
+    policy: Policy,
     commands: tuple[tuple[float, float, float], ...] = COMMAND_GRID,
     seeds: int = 20,
     seconds: float = 20.0,
@@ -120,9 +120,7 @@ class StandingResult:
     """Largest height of a sole above its resting height after two seconds, m: stepping shows here."""
 
 
-def stand(
-    policy: PolicyRunner, seeds: int = 20, seconds: float = 10.0, progress: Progress | None = None
-) -> StandingResult:
+def stand(policy: Policy, seeds: int = 20, seconds: float = 10.0, progress: Progress | None = None) -> StandingResult:
     """Stand at zero command."""
     zero = np.zeros((seeds, 3))
     trace = roll_out(policy, np.arange(seeds), seconds, lambda now: zero, progress=progress)
@@ -190,7 +188,7 @@ class PushResult:
 
 
 def push(
-    policy: PolicyRunner,
+    policy: Policy,
     pushes: tuple[Push, ...] = MUST_PASS_PUSHES,
     seeds: int = 5,
     at_s: float = 2.0,

@@ -9,7 +9,7 @@ from asimov_gym.firmware.gantry import Gantry, GantryConfig, GantryMode
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.firmware.modes import TRANSITIONS, Mode, Outcome, State, Transition, Trigger, transition
 from asimov_gym.firmware.motors import MotorConfig, Motors
-from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault, Runner
+from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault
 from asimov_gym.firmware.snapshot import FirmwareState
 from asimov_gym.robot.alerts import AlertId, Severity, error_bit
 
@@ -38,7 +38,6 @@ __all__ = [
     "PolicyControl",
     "PolicyFault",
     "Receipt",
-    "Runner",
     "Severity",
     "Stand",
     "State",

@@ -15,10 +15,11 @@ from asimov_gym.firmware.gantry import Gantry
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.firmware.modes import Outcome, State, Trigger, transition
 from asimov_gym.firmware.motors import Motors
-from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault, Runner
+from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault
 from asimov_gym.firmware.safety import Safety
 from asimov_gym.firmware.snapshot import FirmwareState
 from asimov_gym.physics import DECIMATION, CPhysics, JointTarget
+from asimov_gym.policy import Policy
 from asimov_gym.robot.alerts import AlertId
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE, STAND_POSITION
 
@@ -55,7 +56,7 @@ class Firmware:
         self,
         physics: CPhysics,
         clock: Clock,
-        policy: Runner | None = None,
+        policy: Policy | None = None,
         config: FirmwareConfig | None = None,
         seed: int = 0,
     ) -> None:

@@ -4,28 +4,16 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Protocol, cast
 
 import numpy as np
 
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.physics import JointTarget, Reading
-from asimov_gym.policy import PolicyContract, PolicyDriver, PolicyRunner, clip_command
+from asimov_gym.policy import Policy, PolicyDriver, clip_command, joint_gains
 from asimov_gym.robot.alerts import AlertId
-from asimov_gym.robot.joints import KD, KP, POLICY_TO_JOINT
 
 _NOT_FINITE = 2**32 - 1
 """Value of a POLICY_SPAZ alert whose cause is NaN or infinity."""
-
-
-class Runner(Protocol):
-    """A loaded network, as `asimov_gym.policy.load_policy` returns it."""
-
-    contract: PolicyContract
-
-    def infer(self, observation: np.ndarray) -> np.ndarray:
-        """Raw outputs (n, 23) for observations (n, width)."""
-        ...
 
 
 class PolicyFault(Exception):
@@ -65,15 +53,13 @@ class PolicyControl:
         linkage: between the joints that the network thinks in and those of the machine.
     """
 
-    def __init__(self, policy: Runner, action_limit: float, linkage: Linkage) -> None:
+    def __init__(self, policy: Policy, action_limit: float, linkage: Linkage) -> None:
         self.contract = policy.contract
         self.time = InferenceTime()
-        self._driver = PolicyDriver(cast(PolicyRunner, policy), copies=1)
+        self._driver = PolicyDriver(policy, copies=1)
         self._limit = action_limit
         self._linkage = linkage
-        self._kp, self._kd = KP[None].copy(), KD[None].copy()
-        self._kp[:, POLICY_TO_JOINT] = self.contract.joint_stiffness
-        self._kd[:, POLICY_TO_JOINT] = self.contract.joint_damping
+        self._kp, self._kd = (gains[None] for gains in joint_gains(self.contract))
 
     def reset(self) -> None:
         """Start afresh: no last action, gait clock at its start."""

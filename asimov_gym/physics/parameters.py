@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from asimov_gym.robot.joints import JOINT_NAMES
+from asimov_gym.robot.joints import JOINT_NAMES, KD, KP
 
 _TORSO = "waist_yaw_link"
 
@@ -26,6 +26,13 @@ class BodyParameters:
     """Mass added to the torso at its centre of mass, kg, (N,)."""
     torso_com: np.ndarray | None = None
     """Shift of the torso's centre of mass, body frame, m, (N, 3)."""
+
+    @classmethod
+    def with_gains(cls, kp: np.ndarray, kd: np.ndarray, copies: int) -> BodyParameters | None:
+        """The same gains for every copy, joint order, (25,) each; None where they are the robot's own."""
+        if np.array_equal(kp, KP) and np.array_equal(kd, KD):
+            return None
+        return cls(kp_scale=np.tile(kp / KP, (copies, 1)), kd_scale=np.tile(kd / KD, (copies, 1)))
 
 
 class ModelFigures:

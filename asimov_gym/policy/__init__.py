@@ -10,11 +10,12 @@ from asimov_gym.policy.contract import (
     clip_action,
     clip_command,
     default_contract,
+    joint_gains,
     targets,
 )
 from asimov_gym.policy.driver import PolicyDriver, PolicyState
 from asimov_gym.policy.field_checks import ContractError
-from asimov_gym.policy.runner import PolicyFileError, PolicyRunner, load_policy
+from asimov_gym.policy.runner import Policy, PolicyFileError, PolicyRunner, load_policy
 from asimov_gym.policy.verification import ModelMismatchWarning, verify_contract
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "ModelMismatchWarning",
     "ObservationSchema",
     "ObservationTerm",
+    "Policy",
     "PolicyContract",
     "PolicyDriver",
     "PolicyFileError",
@@ -30,6 +32,7 @@ __all__ = [
     "clip_action",
     "clip_command",
     "default_contract",
+    "joint_gains",
     "load_policy",
     "targets",
     "verify_contract",

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+import numpy as np
 from array_api_compat import array_namespace
 
 from asimov_gym.policy.field_checks import ContractError, json_value, number, numbers, pairs, strings, whole
@@ -275,6 +276,13 @@ def default_contract(
         trained_commit=trained_commit,
         training=training,
     )
+
+
+def joint_gains(contract: PolicyContract) -> tuple[np.ndarray, np.ndarray]:
+    """Position and damping gains of all joints under a policy, joint order, (25,) each; the neck keeps the robot's."""
+    kp, kd = KP.copy(), KD.copy()
+    kp[POLICY_TO_JOINT], kd[POLICY_TO_JOINT] = contract.joint_stiffness, contract.joint_damping
+    return kp, kd
 
 
 def _observation(value: Any) -> ObservationSchema:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asimov_gym.policy.contract import clip_action, clip_command, targets
-from asimov_gym.policy.runner import PolicyRunner
+from asimov_gym.policy.runner import Policy
 from asimov_gym.robot import gait_clock
 from asimov_gym.robot.joints import POLICY_TO_JOINT, STAND_POSITION
 from asimov_gym.robot.observation import observation_layout
@@ -33,7 +33,7 @@ class PolicyDriver:
     and the clock advances after the network has run.
     """
 
-    def __init__(self, policy: PolicyRunner, copies: int = 1) -> None:
+    def __init__(self, policy: Policy, copies: int = 1) -> None:
         """Start with no last action and the clock at phase 0.
 
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import onnxruntime
@@ -22,6 +22,17 @@ class PolicyFileError(ValueError):
     """The file is not an Asimov policy: not an ONNX model, or one without a contract or with a foreign graph."""
 
 
+@runtime_checkable
+class Policy(Protocol):
+    """A loaded network: what `load_policy` returns, or a stand-in for it."""
+
+    contract: PolicyContract
+
+    def infer(self, observation: np.ndarray) -> np.ndarray:
+        """Raw outputs (n, 23) for observations (n, width)."""
+        ...
+
+
 class PolicyRunner:
     """A policy network and its contract. Made by `load_policy`."""
 
@@ -29,6 +40,10 @@ class PolicyRunner:
         self.contract = contract
         self._session = session
         self._one_by_one = session.get_inputs()[0].shape[0] == 1
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> PolicyRunner:
+        """Itself: a loaded network does not change, and Gymnasium copies the arguments of environments."""
+        return self
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Actions for observations, clipped to the contract's `action_clip`; see `infer`."""
