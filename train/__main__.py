@@ -59,6 +59,8 @@ def _ppo(arguments: list[str]) -> int:
 
         preset: str = "laptop"
         """Preset whose values are the defaults of all other flags."""
+        warm_start: Path | None = None
+        """Run whose networks this one starts with."""
         resume: Path | None = None
         """Continue this run instead; other flags are ignored."""
         runs: Path = Path("runs")
@@ -72,11 +74,13 @@ def _ppo(arguments: list[str]) -> int:
         return resume_run(start.resume)
     preset = load_preset(start.preset)
     if wants_help:
-        print(f"Presets: {', '.join(preset_names())} (--preset NAME). Run: --name NAME, --runs DIR, --resume RUN.\n")
+        print(f"Presets: {', '.join(preset_names())} (--preset NAME).")
+        print("Run: --name NAME, --runs DIR, --warm-start RUN, --resume RUN.
+")
     config = tyro.cli(
         PpoConfig, args=[*rest, *(["--help"] if wants_help else [])], default=preset, prog="python -m train ppo"
     )
-    return start_run(config, start.runs, start.name or start.preset)
+    return start_run(config, start.runs, start.preset, start.name or start.preset, start.warm_start)
 
 
 def _resume(arguments: list[str]) -> int:

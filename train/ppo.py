@@ -81,6 +81,11 @@ class Trainer:
         self.mirror = mirror if config.learner.symmetry == "samples" else None
         self.progress = Progress()
 
+    def warm_start(self, other: RunFolder) -> None:
+        """Begin with the networks of another run's newest checkpoint; its environment and counters stay behind."""
+        wanted = {"actor": True, "critic": True, "optimizer": True, "iteration": False, "rnd": False}
+        self.ppo.load(other.load_checkpoint()["learner"], wanted, True)
+
     def resume(self) -> None:
         """Continue from the newest checkpoint of the folder."""
         state = self.folder.load_checkpoint()

@@ -41,16 +41,27 @@ class RunFolder:
         self.path = path
 
     @classmethod
-    def create(cls, root: Path, name: str, config: PpoConfig) -> RunFolder:
-        """Make a new folder `root/<date>_<name>` with the resolved configuration in it."""
-        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}_{name}"
+    def create(
+        cls, root: Path, preset: str, config: PpoConfig, name: str | None = None, parent: RunFolder | None = None
+    ) -> RunFolder:
+        """Make a new folder `root/<date>_<name>` with the resolved configuration and the run's origin in it.
+
+        Args:
+            root: folder of runs.
+            preset: that the settings come from.
+            config: settings.
+            name: of the run; the preset's when None.
+            parent: run whose networks this one starts with.
+        """
+        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}_{name or preset}"
         path, count = root / stem, 1
         while path.exists():
             count += 1
             path = root / f"{stem}_{count}"
         path.mkdir(parents=True)
         presets.save(config, path / "config.yaml")
-        origin = {"preset": name, "commit": present_commit(), "model_sha256": model_sha256()}
+        origin: dict[str, Any] = {"preset": preset, "commit": present_commit(), "model_sha256": model_sha256()}
+        origin["after"] = None if parent is None else parent.history()
         (path / "origin.json").write_text(json.dumps(origin, indent=2) + "\n", encoding="utf-8")
         return cls(path)
 
@@ -69,8 +80,15 @@ class RunFolder:
         """The configuration that the run was started with."""
         return presets.load(PpoConfig, self.path / "config.yaml")
 
-    def origin(self) -> dict[str, str | None]:
-        """What the run was started from: `preset`, `commit`, `model_sha256`."""
+    def history(self) -> list[dict[str, Any]]:
+        """Presets, commits and progress that led to this run's newest checkpoint, oldest first."""
+        origin, progress = self.origin(), self.load_checkpoint()["progress"]
+        stage = {"preset": origin["preset"], "commit": origin["commit"]}
+        stage |= {"samples": progress["samples"], "seconds": round(progress["seconds"])}
+        return [*(origin["after"] or []), stage]
+
+    def origin(self) -> dict[str, Any]:
+        """What the run was started from: `preset`, `commit`, `model_sha256`, and the stages `after` which it came."""
         return json.loads((self.path / "origin.json").read_text(encoding="utf-8"))
 
     def checkpoints(self) -> list[Path]:

@@ -23,11 +23,14 @@ from train.run_folder import RunFolder
 _console = Console(soft_wrap=True)
 
 
-def start_run(config: PpoConfig, root: Path, name: str) -> int:
-    """Train in a new run folder; returns the exit code."""
-    folder = RunFolder.create(root, name, config)
+def start_run(config: PpoConfig, root: Path, preset: str, name: str, warm_start: Path | None = None) -> int:
+    """Train in a new run folder, from the networks of another run if one is given; returns the exit code."""
+    parent = None if warm_start is None else RunFolder.open(warm_start)
+    folder = RunFolder.create(root, preset, config, name, parent)
     _console.print(f"run folder: {folder.path}")
     trainer = _trainer(folder)
+    if parent is not None:
+        trainer.warm_start(parent)
     _console.print(trainer.reward_table())
     return _finish(trainer, folder)
 
@@ -68,7 +71,12 @@ def export_run(path: Path, output: Path | None) -> int:
         command_ranges=(walk.command.vx, walk.command.vy, walk.command.wz),
         model_sha256=origin["model_sha256"],
         trained_commit=origin["commit"],
-        training={"preset": origin["preset"], "samples": samples, "seconds": round(state["progress"]["seconds"])},
+        training={
+            "preset": origin["preset"],
+            "samples": samples,
+            "seconds": round(state["progress"]["seconds"]),
+            "after": origin["after"],
+        },
     )
     actor = load_actor(config.learner, observation_layout(walk.layout), state["learner"]["actor_state_dict"])
     report = export_onnx(actor, contract, output or folder.path / "policy.onnx")

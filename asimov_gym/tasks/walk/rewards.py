@@ -121,10 +121,20 @@ def tilt(m: Motion) -> Any:
 
 def pose(m: Motion) -> Any:
     """Distance from the standing pose, each joint against its spread; less at rest."""
+    return _stray(m) * (0.3 + 0.7 * m.moving)
+
+
+def rest_pose(m: Motion) -> Any:
+    """Distance from the standing pose while asked to stand."""
+    return _stray(m) * (1.0 - m.moving)
+
+
+def _stray(m: Motion) -> Any:
+    """Mean squared distance of the policy's joints from the standing pose, in units of their spreads."""
     xp = array_namespace(m.velocity)
     q = xp.take(m.reading.joint_position, xp.asarray(POLICY_TO_JOINT), axis=-1)
     stray = (q - xp.asarray(_POLICY_STAND, dtype=q.dtype)) / xp.asarray(_POLICY_SPREAD, dtype=q.dtype)
-    return xp.mean(stray * stray, axis=-1) * (0.3 + 0.7 * m.moving)
+    return xp.mean(stray * stray, axis=-1)
 
 
 def tilt_rate(m: Motion) -> Any:
@@ -204,6 +214,7 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
             foot_contact,
             tilt,
             pose,
+            rest_pose,
             tilt_rate,
             vertical_speed,
             action_rate,
