@@ -75,8 +75,7 @@ def _ppo(arguments: list[str]) -> int:
     preset = load_preset(start.preset)
     if wants_help:
         print(f"Presets: {', '.join(preset_names())} (--preset NAME).")
-        print("Run: --name NAME, --runs DIR, --warm-start RUN, --resume RUN.
-")
+        print("Run: --name NAME, --runs DIR, --warm-start RUN, --resume RUN.\n")
     config = tyro.cli(
         PpoConfig, args=[*rest, *(["--help"] if wants_help else [])], default=preset, prog="python -m train ppo"
     )
