@@ -194,6 +194,13 @@ def rest(m: Motion) -> Any:
     return xp.mean(m.reading.joint_velocity**2, axis=-1) * (1.0 - m.moving)
 
 
+def rest_drift(m: Motion) -> Any:
+    """Horizontal speed of the pelvis while asked to stand: over time, the way it drifts."""
+    xp = array_namespace(m.velocity)
+    speed = xp.sqrt(xp.sum(m.velocity[:, 0:2] ** 2, axis=-1))
+    return speed * (1.0 - m.moving)
+
+
 def effort(m: Motion) -> Any:
     """Mean squared torque as a share of the joint's limit."""
     xp = array_namespace(m.velocity)
@@ -224,6 +231,7 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
             joint_limit,
             feet_apart,
             rest,
+            rest_drift,
             effort,
         )
     }
