@@ -44,6 +44,8 @@ class Card:
     """Exported network; `policy.onnx` in the run's folder when omitted."""
     notes: Path | None = None
     """Markdown to put on the card."""
+    earlier: tuple[Path, ...] = ()
+    """Runs of the stages before, oldest first; their curves go on the card too."""
     seeds: int = 20
     """Robots per command."""
 
@@ -99,7 +101,7 @@ def _card(arguments: list[str]) -> int:
     from train.session import write_run_card
 
     card = tyro.cli(Card, args=arguments, prog="python -m train card")
-    return write_run_card(card.run, card.policy, card.notes, card.seeds)
+    return write_run_card(card.run, card.policy, card.notes, card.seeds, card.earlier)
 
 
 _COMMANDS = {"ppo": _ppo, "resume": _resume, "export": _export, "card": _card}

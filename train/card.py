@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,18 @@ def read_curves(folder: RunFolder) -> dict[str, np.ndarray]:
     }
 
 
+def joined_curves(folders: Sequence[RunFolder]) -> dict[str, np.ndarray]:
+    """Curves of runs that followed each other, on one axis of samples."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name, _ in CURVES}
+    offset = 0.0
+    for folder in folders:
+        curves = read_curves(folder)
+        for name, rows in curves.items():
+            parts[name].append(rows + np.array([offset, 0.0]))
+        offset += max((float(rows[-1, 0]) for rows in curves.values()), default=0.0)
+    return {name: np.concatenate(rows) for name, rows in parts.items() if rows}
+
+
 def plot_curves(curves: dict[str, np.ndarray], path: Path) -> None:
     """Draw the curves over samples, one small plot each."""
     import matplotlib
@@ -77,7 +90,14 @@ def save_curves(curves: dict[str, np.ndarray], path: Path, points: int = 200) ->
     )
 
 
-def write_card(folder: RunFolder, policy: PolicyRunner, report: Report, path: Path, notes: str = "") -> None:
+def write_card(
+    folder: RunFolder,
+    policy: PolicyRunner,
+    report: Report,
+    path: Path,
+    notes: str = "",
+    earlier: Sequence[RunFolder] = (),
+) -> None:
     """Write `path` (Markdown), and beside it the curves (PNG and CSV) and every figure (JSON).
 
     Args:
@@ -86,13 +106,17 @@ def write_card(folder: RunFolder, policy: PolicyRunner, report: Report, path: Pa
         report: its evaluation.
         path: the card.
         notes: what a reader should also know.
+        earlier: the runs of the stages before, oldest first, for their curves.
     """
-    contract, config, origin = policy.contract, folder.config(), folder.origin()
-    curves = read_curves(folder)
+    contract, config = policy.contract, folder.config()
+    curves = joined_curves([*earlier, folder])
     plot_curves(curves, path.with_suffix(".curves.png"))
     save_curves(curves, path.with_suffix(".curves.csv"))
     path.with_suffix(".json").write_text(json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8")
-    training = contract.training or {}
+    stages = "\n".join(
+        f"| {number} | `{stage['preset']}` | {stage['samples']:,} | {stage['seconds'] / 60:.0f} | `{stage['commit']}` |"
+        for number, stage in enumerate(folder.history(), start=1)
+    )
     ranges = ", ".join(
         f"{axis} {low:g} to {high:g}"
         for axis, (low, high) in zip(("vx", "vy", "wz"), contract.command_ranges, strict=True)
@@ -102,13 +126,22 @@ def write_card(folder: RunFolder, policy: PolicyRunner, report: Report, path: Pa
 | | |
 |---|---|
 | task | `Asimov-Walk-v0`, layout `{contract.observation.layout}` |
-| made by | `python -m train ppo --preset {origin["preset"]}`, commit `{contract.trained_commit}` |
-| samples | {training.get("samples", 0):,} at {config.copies} copies, {training.get("seconds", 0) / 60:.0f} minutes |
+| learner | rsl-rl PPO on C physics, {config.copies} copies |
 | machine | {platform.system()}, {platform.machine()}, {os.cpu_count()} cores, no GPU |
 | network | {" × ".join(map(str, config.learner.hidden))} ELU, normaliser inside |
 | gait clock | {contract.gait_frequency_hz} Hz |
 | trained commands | {ranges} |
 | robot | {contract.robot_revision}, model `{(contract.model_sha256 or "")[:12]}` |
+
+## Training
+
+Each stage is `python -m train ppo --preset PRESET`, a later one with `--warm-start` and the run before it.
+
+| stage | preset | samples | minutes | commit |
+|---|---|---|---|---|
+{stages}
+
+![curves]({path.with_suffix(".curves.png").name})
 
 ## Evaluation
 
@@ -121,9 +154,5 @@ def write_card(folder: RunFolder, policy: PolicyRunner, report: Report, path: Pa
 
 {report.markdown()}
 
-{notes}
-## Learning curves
-
-![curves]({path.with_suffix(".curves.png").name})
-"""
+{notes}"""
     path.write_text(card, encoding="utf-8")

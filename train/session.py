@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
@@ -87,7 +88,9 @@ def export_run(path: Path, output: Path | None) -> int:
     return 0
 
 
-def write_run_card(path: Path, policy_file: Path | None, notes: Path | None, seeds: int) -> int:
+def write_run_card(
+    path: Path, policy_file: Path | None, notes: Path | None, seeds: int, earlier: Sequence[Path] = ()
+) -> int:
     """Evaluate a run's exported policy and write its card beside the file; returns the exit code."""
     folder = RunFolder.open(path)
     policy_file = policy_file or folder.path / "policy.onnx"
@@ -103,7 +106,7 @@ def write_run_card(path: Path, policy_file: Path | None, notes: Path | None, see
 
         report = evaluate(policy, seeds=seeds, progress=show)
     card = policy_file.with_suffix(".md")
-    write_card(folder, policy, report, card, text)
+    write_card(folder, policy, report, card, text, [RunFolder.open(run) for run in earlier])
     _console.print(report.summary(), highlight=False)
     _console.print(f"card: {card}")
     return 0

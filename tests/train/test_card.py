@@ -1,0 +1,70 @@
+"""A policy's card: written from a run, its policy and an evaluation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
+pytest.importorskip("rsl_rl", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
+pytest.importorskip("tensorboard", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
+
+from asimov_gym.evaluation.report import Report
+from asimov_gym.evaluation.walking import CommandResult, StandingResult
+from asimov_gym.policy import load_policy
+from train.__main__ import main
+from train.card import joined_curves, write_card
+from train.run_folder import RunFolder
+
+FLAGS = ["--samples", "256", "--copies", "16", "--threads", "1", "--learner.steps", "8"]
+
+
+@pytest.fixture(scope="module")
+def stages(tmp_path_factory: pytest.TempPathFactory) -> list[RunFolder]:
+    """Two runs, the second warm-started from the first."""
+    root = tmp_path_factory.mktemp("runs")
+    assert main(["ppo", "--preset", "smoke", "--runs", str(root), "--name", "first", *FLAGS]) == 0
+    first = RunFolder.open(next(root.glob("*first")))
+    more = ["--name", "second", "--warm-start", str(first.path)]
+    assert main(["ppo", "--preset", "smoke", "--runs", str(root), *more, *FLAGS]) == 0
+    return [first, RunFolder.open(next(root.glob("*second")))]
+
+
+def test_a_warm_start_begins_with_the_networks_of_the_other_run(stages: list[RunFolder]) -> None:
+    first, second = stages
+    assert [stage["samples"] for stage in second.history()] == [256, 256]
+    assert load_policy(second.path / "policy.onnx").contract.training["after"] == first.history()
+    with pytest.raises(FileNotFoundError, match="is not a training run"):
+        RunFolder.open(first.path / "nowhere")
+
+
+def test_curves_of_stages_follow_each_other(stages: list[RunFolder]) -> None:
+    curves = joined_curves(stages)
+    samples = curves["episode/reward"][:, 0]
+    assert samples[-1] == 512 and (np.diff(samples) > 0).all()
+
+
+def test_card_holds_what_was_measured(stages: list[RunFolder], tmp_path: Path) -> None:
+    result = CommandResult((0.5, 0, 0), 19, 20, (0.48, 0, 0), 0.0213, 0.03, 0.05, 0.1)
+    report = Report([result], StandingResult(20, 20, 0.0123, 0.001, 0.0), [])
+    folder = stages[-1]
+    write_card(
+        folder, load_policy(folder.path / "policy.onnx"), report, tmp_path / "p.md", "Watch the left knee.", stages[:1]
+    )
+    card = (tmp_path / "p.md").read_text()
+    for words in (
+        "19 of 20",
+        "0.021",
+        "| 1 | `smoke` | 256 |",
+        "| 2 | `smoke` | 256 |",
+        "Watch the left knee.",
+        "1.5 Hz",
+    ):
+        assert words in card, words
+    assert json.loads((tmp_path / "p.json").read_text())["summary"]["falls"] == 1
+    assert (tmp_path / "p.curves.png").stat().st_size > 10_000
+    rows = np.loadtxt(tmp_path / "p.curves.csv", delimiter=",", skiprows=1)
+    assert rows.shape[0] == 200 and np.isfinite(rows).all()
