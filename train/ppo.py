@@ -199,7 +199,7 @@ def _collect(figures: dict[str, list[float]], step: WalkStep, batch: WalkBatch) 
 
 
 def _line(progress: Progress, total: int, rate: float, figures: dict[str, float]) -> str:
-    left = (total - progress.samples) / max(rate, 1.0)
+    left = max(0, total - progress.samples) / max(rate, 1.0)
     return (
         f"{progress.samples / 1e6:7.2f}M of {total / 1e6:.1f}M  {rate:6.0f}/s  ETA {left / 60:4.0f} min  "
         f"episode {figures['episode/length_s']:5.1f} s  reward {figures['episode/reward']:5.2f}/s  "
