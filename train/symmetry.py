@@ -108,7 +108,7 @@ class MirrorSamples:
     A mirrored sample keeps its likelihood at the time it was drawn, as rsl-rl's symmetry extension has it: of a policy
     still lopsided, a mirrored action may be so unlikely that a ratio to anything else explodes. The distribution that
     the adaptive learning rate compares with is computed anew, else the lopsidedness would count as a large step of the
-    policy and the rate would collapse. Mirroring half of the samples costs half of what that extension's doubling does.
+    policy and hold the rate down. Mirroring half of the samples costs half of what that extension's doubling does.
     """
 
     def __init__(self, actor_view: Mirror, critic_view: Mirror) -> None:
