@@ -32,6 +32,15 @@ def check_interval(name: str, value: tuple[float, float], low: float, high: floa
         raise ValueError(f"{name} must be ordered low to high, got {value!r}")
 
 
+def check_weights(name: str, weights: Mapping[str, float], terms: Mapping[str, Any]) -> None:
+    """Raise ValueError unless each weight belongs to one of `terms` and is a number within 1000 of zero."""
+    unknown = sorted(set(weights) - set(terms))
+    if unknown:
+        raise ValueError(f"{name} has unknown terms {unknown}; known terms: {', '.join(terms)}")
+    for term, weight in weights.items():
+        check_range(f"{name}.{term}", weight, -1e3, 1e3)
+
+
 def from_mapping(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
     """Build a dataclass from nested mappings; fields that are missing keep their defaults.
 

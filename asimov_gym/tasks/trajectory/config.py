@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from asimov_gym.presets import check_range
+from asimov_gym.presets import check_range, check_weights
 from asimov_gym.robot.ankle import FORMS, Form
 
 DEFAULT_REWARDS: Mapping[str, float] = {
@@ -51,8 +51,4 @@ class TrajectoryConfig:
         check_range("start_noise", self.start_noise, 0.0, 0.2)
         from asimov_gym.tasks.trajectory.rewards import TERMS
 
-        unknown = sorted(set(self.rewards) - set(TERMS))
-        if unknown:
-            raise ValueError(f"rewards has unknown terms {unknown}; known terms: {', '.join(TERMS)}")
-        for name, weight in self.rewards.items():
-            check_range(f"rewards.{name}", weight, -1e3, 1e3)
+        check_weights("rewards", self.rewards, TERMS)

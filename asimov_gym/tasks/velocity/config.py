@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from asimov_gym.presets import check_interval, check_range
+from asimov_gym.presets import check_interval, check_range, check_weights
 
 DEFAULT_REWARDS: Mapping[str, float] = {
     "progress": 1.0,
@@ -43,8 +43,4 @@ class VelocityConfig:
         check_range("episode_s", self.episode_s, 0.5, 1e6)
         from asimov_gym.tasks.velocity.rewards import TERMS
 
-        unknown = sorted(set(self.rewards) - set(TERMS))
-        if unknown:
-            raise ValueError(f"rewards has unknown terms {unknown}; known terms: {', '.join(TERMS)}")
-        for name, weight in self.rewards.items():
-            check_range(f"rewards.{name}", weight, -1e3, 1e3)
+        check_weights("rewards", self.rewards, TERMS)

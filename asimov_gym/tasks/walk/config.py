@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from asimov_gym.presets import check_interval, check_range
+from asimov_gym.presets import check_interval, check_range, check_weights
 from asimov_gym.robot.observation import LAYOUTS, STANDING_THRESHOLD
 
 
@@ -184,8 +184,4 @@ class WalkConfig:
         check_range("mean_velocity_s", self.mean_velocity_s, 0.02, 10.0)
         from asimov_gym.tasks.walk.rewards import TERMS
 
-        unknown = sorted(set(self.rewards) - set(TERMS))
-        if unknown:
-            raise ValueError(f"rewards has unknown terms {unknown}; known terms: {', '.join(TERMS)}")
-        for name, weight in self.rewards.items():
-            check_range(f"rewards.{name}", weight, -1e3, 1e3)
+        check_weights("rewards", self.rewards, TERMS)
