@@ -76,6 +76,10 @@ class OffscreenCamera:
         self._renderer.close()
 
 
+_CLOSING_S = 2.0
+"""Longest wait for a window to close, s."""
+
+
 class Window:
     """Shows one robot in a window of MuJoCo's viewer, no faster than in real time.
 
@@ -117,8 +121,11 @@ class Window:
         self._next = max(now, self._next) + self._period
 
     def close(self) -> None:
-        """Close the window."""
+        """Close the window, and give its thread a moment to finish: it must not draw while the process ends."""
         self._viewer.close()
+        deadline = time.perf_counter() + _CLOSING_S
+        while self._viewer.is_running() and time.perf_counter() < deadline:
+            time.sleep(0.01)
 
 
 def _is_headless() -> bool:
