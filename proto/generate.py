@@ -30,7 +30,7 @@ MODULE = '''\
 """Messages of the protobuf package ``{package}``."""
 
 from google.protobuf import descriptor_pool as _descriptor_pool
-from google.protobuf.internal import builder as _builder
+{imports}from google.protobuf.internal import builder as _builder
 
 DESCRIPTOR = _descriptor_pool.Default().AddSerializedFile(
 {literal}
@@ -66,6 +66,14 @@ def _bytes_literal(data: bytes, width: int = 96) -> str:
     return "\n".join(f'    b"{part}"' for part in lines)
 
 
+def _import(dependency: str) -> str:
+    """The statement that puts a file of protobuf's own into the descriptor pool."""
+    folder, _, name = dependency.removesuffix(".proto").rpartition("/")
+    if folder != "google/protobuf":
+        raise ValueError(f"{dependency}: only protobuf's own files can be imported")
+    return f"from google.protobuf import {name}_pb2 as _{name}_pb2  # noqa: F401"
+
+
 def modules() -> dict[str, str]:
     """Text of every ``*_pb2.py``, by file name."""
     with tempfile.TemporaryDirectory() as folder:
@@ -81,6 +89,7 @@ def modules() -> dict[str, str]:
         texts[f"{stem}_pb2.py"] = MODULE.format(
             stem=stem,
             package=file.package,
+            imports="".join(f"{_import(name)}\n" for name in file.dependency),
             literal=_bytes_literal(file.SerializeToString(deterministic=True)),
             module=f"{POOL_DIR.replace('/', '.')}.{stem}_pb2",
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from asimov_gym.cli.renderer import headless_backend
+from asimov_gym.rendering.backends import headless_backend
 
 # Lets the tests that draw do so without a display. MuJoCo reads the backend's name once, when it is first imported, and
 # the conftest modules below this one import it: so the name is set here, on import, and not in a hook.

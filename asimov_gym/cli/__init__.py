@@ -12,15 +12,27 @@ from typing import Annotated
 
 import tyro
 
+from asimov_gym.cli.bench import Bench
 from asimov_gym.cli.demo import Demo
 from asimov_gym.cli.doctor import Doctor
+from asimov_gym.cli.drive import Drive
 from asimov_gym.cli.evaluate import Evaluate
+from asimov_gym.cli.fault import Fault
+from asimov_gym.cli.replay import Replay
+from asimov_gym.cli.robot import Robot
+from asimov_gym.cli.room import Room
 from asimov_gym.cli.view import View
 
 Command = (
-    Annotated[Demo, tyro.conf.subcommand("demo")]
+    Annotated[Bench, tyro.conf.subcommand("bench")]
+    | Annotated[Demo, tyro.conf.subcommand("demo")]
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
+    | Annotated[Drive, tyro.conf.subcommand("drive")]
     | Annotated[Evaluate, tyro.conf.subcommand("eval")]
+    | Annotated[Fault, tyro.conf.subcommand("fault")]
+    | Annotated[Replay, tyro.conf.subcommand("replay")]
+    | Annotated[Robot, tyro.conf.subcommand("robot")]
+    | Annotated[Room, tyro.conf.subcommand("room")]
     | Annotated[View, tyro.conf.subcommand("view")]
 )
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asimov_gym.cli.renderer import headless_backend, install_line
+from asimov_gym.rendering.backends import headless_backend, install_line
 from asimov_gym.robot.safety_limits import FALL_GRAVITY_Z, FALL_HEIGHT
 
 if TYPE_CHECKING:

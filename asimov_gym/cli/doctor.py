@@ -186,7 +186,7 @@ def physics_speed(seconds: float) -> float:
 
 def renderer_findings() -> list[Finding]:
     """Each OpenGL backend, tried in a process of its own. None is required: plots and recordings need none."""
-    from asimov_gym.cli.renderer import HEADLESS_BACKENDS, INSTALL_LINES, probe
+    from asimov_gym.rendering.backends import HEADLESS_BACKENDS, INSTALL_LINES, probe
 
     found = []
     for backend in (*HEADLESS_BACKENDS, "glfw"):

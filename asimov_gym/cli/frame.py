@@ -1,6 +1,7 @@
 """One picture of the robot in its standing pose, drawn in the background.
 
-Run as `python -m asimov_gym.cli.frame FILE.png`, with `MUJOCO_GL` set to a headless backend (see `renderer`).
+Run as `python -m asimov_gym.cli.frame FILE.png`, with `MUJOCO_GL` set to a headless backend (see
+`asimov_gym.rendering.backends`).
 """
 
 from __future__ import annotations

@@ -11,13 +11,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
-from asimov_gym.cli.renderer import environment
+from asimov_gym.rendering.backends import environment
 
 WIDTH, HEIGHT, FPS = 640, 360, 25
 
@@ -27,7 +27,7 @@ class VideoWriter:
 
     Args:
         path: MP4 file to write.
-        backend: OpenGL backend that works here, from `renderer.headless_backend()`.
+        backend: OpenGL backend that works here, from `rendering.backends.headless_backend()`.
     """
 
     def __init__(self, path: Path, backend: str) -> None:
@@ -96,27 +96,25 @@ def draw(path: Path) -> None:
     import mujoco
 
     from asimov_gym.assets import asset_path
+    from asimov_gym.rendering.offscreen import FILM, OffscreenRenderer
 
     model = mujoco.MjModel.from_xml_path(str(asset_path("asimov1.xml")))
-    data = mujoco.MjData(model)
     camera = mujoco.MjvCamera()
     camera.distance, camera.azimuth, camera.elevation = 2.2, 130.0, -10.0
     frame_size = model.nq * np.dtype(np.float64).itemsize
     # 360 is no multiple of 16, the block size that the writer would otherwise scale the picture to.
     writer = imageio.get_writer(path, fps=FPS, codec="libx264", quality=7, macro_block_size=8)
     done = 0
-    with writer, mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
+    renderer = OffscreenRenderer(model, WIDTH, HEIGHT, FILM)
+    with writer, closing(renderer):
         lookat = np.zeros(3)
         while len(buffer := sys.stdin.buffer.read(frame_size)) == frame_size:
-            data.qpos[:] = np.frombuffer(buffer)
-            mujoco.mj_forward(model, data)
-            here = np.array([data.qpos[0], data.qpos[1], 0.6])
+            qpos = np.frombuffer(buffer)
+            here = np.array([qpos[0], qpos[1], 0.6])
             # The camera glides after the robot, so that its bobbing shows.
             lookat = here if done == 0 else lookat + 0.1 * (here - lookat)
             camera.lookat[:] = lookat
-            renderer.update_scene(data, camera)
-            renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
-            writer.append_data(renderer.render())
+            writer.append_data(renderer.draw(qpos, camera))
             done += 1
             if done % FPS == 0:
                 print(done, flush=True)

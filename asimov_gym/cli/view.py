@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from asimov_gym.cli.renderer import environment, has_display, headless_backend, install_line, probe
+from asimov_gym.rendering.backends import environment, has_display, headless_backend, install_line, probe
 
 if TYPE_CHECKING:
     from asimov_gym.policy import PolicyRunner
@@ -131,7 +131,7 @@ def _load(path: Path) -> PolicyRunner:
     return load_policy(policy_file(path))
 
 
-def _follow(viewer: Any, model: Any) -> None:
+def follow(viewer: Any, model: Any) -> None:
     """Let the viewer's camera go with the robot, seen whole from its front right; the mouse can still turn it."""
     import mujoco
 
@@ -151,7 +151,7 @@ def _stand() -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("stand").id)
     with mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False) as viewer:
-        _follow(viewer, model)
+        follow(viewer, model)
         while viewer.is_running():
             began = time.perf_counter()
             for _ in range(round(FRAME / model.opt.timestep)):
@@ -180,7 +180,7 @@ def _walk(policy: PolicyRunner) -> None:
             model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False
         ) as viewer,
     ):
-        _follow(viewer, model)
+        follow(viewer, model)
         session.stand()
         ready = STANDING_TIME
         while viewer.is_running():

@@ -1,9 +1,10 @@
 """The edge: commands checked, telemetry and events out, and the simulated robot with its in-process session."""
 
 from asimov_gym.edge.async_session import AsyncSession, aconnect
-from asimov_gym.edge.control import Client, Control, Handover, Source
-from asimov_gym.edge.edge import Edge, EdgeListener
+from asimov_gym.edge.control import Client, Control, Dialect, Handover, Source
+from asimov_gym.edge.edge import Edge
 from asimov_gym.edge.events import Code
+from asimov_gym.edge.listener import EdgeListener
 from asimov_gym.edge.robot import SimulatedRobot
 from asimov_gym.edge.session import Session, connect, wait_until
 from asimov_gym.edge.verdict import DropReason, Note, Tally, Verdict
@@ -13,6 +14,7 @@ __all__ = [
     "Client",
     "Code",
     "Control",
+    "Dialect",
     "DropReason",
     "Edge",
     "EdgeListener",

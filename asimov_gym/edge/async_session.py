@@ -1,17 +1,19 @@
-"""The in-process session for asyncio programs: the same verbs and channels, awaited."""
+"""The session for asyncio programs: the same verbs and channels, awaited."""
 
 from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
+from typing import Any
 
 import numpy as np
 
-from asimov_gym.edge.control import Source
+from asimov_gym.edge.clients.channels import StateChannel
+from asimov_gym.edge.control import Dialect, Source
 from asimov_gym.edge.robot import SimulatedRobot
-from asimov_gym.edge.session import Session, StateChannel, connect
+from asimov_gym.edge.session import Session, connect
 from asimov_gym.edge.wire import cloud_pb2
 
 _POLL_S = 0.005
@@ -40,6 +42,11 @@ class AsyncSession:
         """The session underneath."""
         self.state = AsyncStateChannel(session.state)
 
+    @property
+    def facts(self) -> Mapping[str, Any] | None:
+        """What the robot says of itself; see `Session.facts`."""
+        return self.sync.facts
+
     async def stand(self) -> int:
         """Take the standing pose, over about 2 s."""
         return self.sync.stand()
@@ -66,9 +73,12 @@ class AsyncSession:
         self.sync.commands.send(packet)
 
     async def events(self, timeout: float | None = None) -> AsyncIterator[cloud_pb2.EdgeEvent]:
-        """Events in order, until none comes within `timeout` seconds; None waits for ever."""
+        """Events in order, until none comes within `timeout` seconds; None waits for ever.
+
+        UDP has no lane for events: there it ends at once.
+        """
         last = time.monotonic()
-        while timeout is None or time.monotonic() - last <= timeout:
+        while self.sync.has_events and (timeout is None or time.monotonic() - last <= timeout):
             event = self.sync.system.next()
             if event is None:
                 await asyncio.sleep(_POLL_S)
@@ -79,8 +89,43 @@ class AsyncSession:
 
 @asynccontextmanager
 async def aconnect(
-    robot: SimulatedRobot, name: str | None = None, source: Source = Source.IN_PROCESS
+    target: SimulatedRobot | str,
+    name: str | None = None,
+    source: Source | None = None,
+    *,
+    dialect: Dialect | None = None,
+    token: str | None = None,
+    robot_identity: str | None = None,
+    state_port: int | None = None,
+    facts_port: int | None = None,
+    timeout: float = 5.0,
 ) -> AsyncIterator[AsyncSession]:
-    """Connect to a robot in this process: `async with aconnect(robot) as session`; arguments as for `connect`."""
-    with connect(robot, name, source) as session:
+    """Connect to a robot: `async with aconnect(robot) as session`; arguments as for `connect`."""
+    connecting = asyncio.ensure_future(
+        asyncio.to_thread(
+            connect,
+            target,
+            name,
+            source,
+            dialect=dialect,
+            token=token,
+            robot_identity=robot_identity,
+            state_port=state_port,
+            facts_port=facts_port,
+            timeout=timeout,
+        )
+    )
+    try:
+        session = await asyncio.shield(connecting)
+    except asyncio.CancelledError:
+        connecting.add_done_callback(_close_unwanted)  # the thread goes on and may still succeed
+        raise
+    try:
         yield AsyncSession(session)
+    finally:
+        await asyncio.to_thread(session.close)
+
+
+def _close_unwanted(connecting: asyncio.Future[Session]) -> None:
+    if not connecting.cancelled() and connecting.exception() is None:
+        connecting.result().close()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 from asimov_gym.firmware import MICROSECONDS
 
@@ -23,6 +23,15 @@ class Source(IntEnum):
     MOTION_MODES = 6
 
 
+class Dialect(Enum):
+    """The two sets of messages; `asimov_gym.edge.dialect` has their differences."""
+
+    CLOUD = "cloud"
+    """CloudCommand, EdgeTelemetry, EdgeEvent: the published interface."""
+    IO = "io"
+    """RobotCommand, RobotState: what the robot's public Python client speaks."""
+
+
 @dataclass(frozen=True)
 class Client:
     """A sender of commands."""
@@ -30,6 +39,8 @@ class Client:
     source: Source
     name: str
     """Unique among the connected clients; appears in events and recordings."""
+    dialects: tuple[Dialect, ...] = (Dialect.CLOUD,)
+    """What it may speak. With both, each packet is told apart by its protocol version."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +50,11 @@ class Handover:
     previous: Client | None
     current: Client | None
     reason: str
-    """`first_command`, `priority`, `silence` or `left`."""
+    """`first_command`, `priority`, `silence`, `left`, `e_stop` or `e_stop_released`."""
+
+
+E_STOP_BUTTON = Client(Source.E_STOP, "e-stop")
+"""Holder of control while the emergency stop is pressed."""
 
 
 class Control:
@@ -56,6 +71,8 @@ class Control:
             Whether the client is in control, and the handover that gave it control, if any.
         """
         previous = self.holder
+        if previous == E_STOP_BUTTON:
+            return False, None
         if client == previous:
             self._heard_us = now_us
             return True, None
@@ -76,3 +93,11 @@ class Control:
             return None
         self.holder = None
         return Handover(client, None, "left")
+
+    def e_stop(self, pressed: bool) -> Handover | None:
+        """The emergency stop takes control while it is pressed; released, control is free."""
+        previous, current = self.holder, E_STOP_BUTTON if pressed else None
+        if (previous == E_STOP_BUTTON) == pressed:
+            return None
+        self.holder = current
+        return Handover(previous, current, "e_stop" if pressed else "e_stop_released")

@@ -2,35 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from asimov_gym.edge.wire import cloud_pb2
 from asimov_gym.firmware import Firmware
-from asimov_gym.robot.joints import MOTOR_NAMES
-
-BUSES: tuple[tuple[str, ...], ...] = (
-    tuple(name for name in MOTOR_NAMES[:12] if name.startswith("L_")),
-    tuple(name for name in MOTOR_NAMES[:12] if name.startswith("R_")),
-    tuple(name for name in MOTOR_NAMES[12:22] if name.startswith("L_")),
-    tuple(name for name in MOTOR_NAMES[12:22] if name.startswith("R_")),
-    MOTOR_NAMES[22:],
-)
-"""Motors on each CAN bus: left leg, right leg, left arm, right arm, waist and neck."""
 
 
-def diagnostics(firmware: Firmware, controller: str) -> cloud_pb2.EdgeEvent:
-    """An `EdgeDiagnostics` event, not yet stamped.
+@dataclass
+class LaneStatus:
+    """What the diagnostics say of the lanes; set by the transports."""
 
-    The simulated buses carry one command and one answer for each motor and tick, and lose nothing. There is no cloud,
-    no Bluetooth, camera or microphone in this process.
+    cloud_connected: bool = False
+    """A room is joined."""
+    camera_active: bool = False
+    """Video frames are being sent."""
+    mic_active: bool = False
+    """Audio frames are being sent."""
+
+
+def diagnostics(firmware: Firmware, controller: str, lanes: LaneStatus) -> cloud_pb2.EdgeEvent:
+    """An `EdgeDiagnostics` event, not yet stamped. There is no Bluetooth on the simulated robot.
 
     Args:
         firmware: source of the counters.
         controller: name of the client in control, empty for none.
+        lanes: state of room and media.
     """
-    message = cloud_pb2.EdgeDiagnostics(controller=controller, provisioned=True)
-    for motors in BUSES:
-        frames = firmware.ticks * len(motors)
-        message.can_health.add(frames_sent=frames, frames_received=frames)
-    if firmware.policy is not None:
-        time = firmware.policy.time
-        message.onnx_avg_ms, message.onnx_max_ms, message.onnx_count = time.average_ms, time.max_ms, time.count
+    message = cloud_pb2.EdgeDiagnostics(
+        controller=controller,
+        provisioned=True,
+        cloud_connected=lanes.cloud_connected,
+        camera_active=lanes.camera_active,
+        mic_active=lanes.mic_active,
+    )
+    state = firmware.snapshot
+    for bus in state.can:
+        message.can_health.add(
+            frames_sent=bus.frames_sent,
+            frames_received=bus.frames_received,
+            errors=bus.errors,
+            bus_offs=bus.bus_offs,
+        )
+    time = state.inference
+    message.onnx_avg_ms, message.onnx_max_ms, message.onnx_count = time.average_ms, time.max_ms, time.count
     return cloud_pb2.EdgeEvent(diagnostics=message)

@@ -10,12 +10,15 @@ from enum import Enum
 
 from asimov_gym.edge.control import Handover
 from asimov_gym.edge.wire import cloud_pb2
-from asimov_gym.firmware import Alert, AlertId, FirmwareState, State
+from asimov_gym.firmware import Alert, AlertId, Firmware, FirmwareState, State
+from asimov_gym.robot.joints import MOTOR_NAMES
 
 
 class Code(Enum):
     """Codes of `EdgeError`, with what each says. Commands that are dropped make no event."""
 
+    BOOT_PROGRESS = "boot_progress"
+    """A step of the boot, `n/4 what: result`: motors, imu, policy, ready."""
     BOOT = "boot"
     """The firmware has booted, at start or after a restart; the message holds the count."""
     MODE_CHANGE = "mode_change"
@@ -28,6 +31,20 @@ class Code(Enum):
     """A critical alert has latched DAMP; the message holds the error word. Only a restart clears it."""
     OVERLOAD = "overload"
     """The simulation cannot keep up with real time; the message holds the factor it reached."""
+    E_STOP = "e_stop"
+    """The emergency stop was `pressed` or `released`."""
+    CONSOLE = "console"
+    """The bench operator acted: injected a fault, moved the gantry, restarted the firmware; the message says what."""
+    CAMERA = "camera"
+    """A camera failed, or came back."""
+    MICROPHONE = "microphone"
+    """The microphone's source failed."""
+    SPEAKER = "speaker"
+    """The speaker's file failed."""
+    CLOUD = "cloud"
+    """The room was joined, lost or joined again."""
+    RECORDER = "recorder"
+    """The recording failed; the robot goes on without it."""
     SHUTDOWN = "shutdown"
     """The simulated robot is going away."""
 
@@ -52,6 +69,21 @@ def describe(alert: Alert) -> str:
     """An alert in words: `MOTOR_OVERTEMP critical source 3 value 801 threshold 800`."""
     severity = alert.id.severity.name.lower()
     return f"{alert.id.name} {severity} source {alert.source} value {alert.value} threshold {alert.threshold}"
+
+
+def boot_progress(firmware: Firmware) -> list[cloud_pb2.EdgeEvent]:
+    """The steps of a boot, each with what was found."""
+    state = firmware.snapshot
+    missing = len({alert.source for alert in state.alerts if alert.id is AlertId.MOTOR_MISSING})
+    imu = {AlertId.IMU_FAILURE, AlertId.IMU_STALE}.isdisjoint(alert.id for alert in state.alerts)
+    policy = "none, velocities are dropped" if firmware.policy is None else firmware.policy.contract.observation.layout
+    steps = (
+        f"motors: {len(MOTOR_NAMES) - missing} of {len(MOTOR_NAMES)} answer",
+        f"imu: {'answers' if imu else 'silent'}",
+        f"policy: {policy}",
+        "ready",
+    )
+    return [error(Code.BOOT_PROGRESS, f"{n}/{len(steps)} {step}") for n, step in enumerate(steps, start=1)]
 
 
 class ChangeWatch:

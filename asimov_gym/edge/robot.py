@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -39,6 +40,8 @@ class SimulatedRobot:
     """In real time, how far behind the loop may fall and still catch up; beyond it the time is lost."""
     OVERLOAD_FACTOR = 0.95
     """Slower than this many times real time over a second is reported as overload."""
+    LATENESS_SAMPLES = 60_000
+    """Control steps of which the lateness is kept: five minutes."""
 
     def __init__(
         self,
@@ -59,6 +62,8 @@ class SimulatedRobot:
         self.edge = Edge(self.firmware, self.clock)
         self.realtime_factor = 1.0
         """Simulated over real time in the last second; only with a `WallClock`."""
+        self.lateness_us: deque[int] = deque(maxlen=self.LATENESS_SAMPLES)
+        """How late each of the last control steps began, microseconds; only with a `WallClock`."""
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
@@ -95,6 +100,7 @@ class SimulatedRobot:
         if self._thread is not None:
             raise RuntimeError("the robot already runs")
         self._stop.clear()
+        self.firmware.resume()
         self._thread = threading.Thread(target=self._run, name="simulated-robot", daemon=True)
         self._thread.start()
 
@@ -134,6 +140,7 @@ class SimulatedRobot:
     def restart(self) -> None:
         """Restart the firmware: clears a latched fault. The robot stays where it is; the gantry hoists it in DAMP."""
         with self.edge.lock:
+            self.edge.error(Code.CONSOLE, "restart of the firmware")
             self.firmware.restart()
 
     # -- the loop ----------------------------------------------------------------------------------
@@ -150,6 +157,7 @@ class SimulatedRobot:
         steps = 0
         try:
             while not self._stop.is_set():
+                self.lateness_us.append(max(0, self.clock.now_us() - due))
                 self._step()
                 steps += 1
                 due += period

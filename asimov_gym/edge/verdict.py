@@ -10,6 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 
+from asimov_gym.edge.control import Dialect
 from asimov_gym.firmware import Outcome
 
 _log = logging.getLogger(__name__)
@@ -18,17 +19,25 @@ _log = logging.getLogger(__name__)
 class DropReason(Enum):
     """Why a packet has no effect. Documented by the robot's interface unless marked ours."""
 
-    MALFORMED = "the bytes are not a CloudCommand"
-    NO_COMMAND = "no member of the oneof `command` is set"
-    UNKNOWN_MODE = "ModeCommand with a number that is neither STAND nor DAMP"
+    MALFORMED = "the bytes are no command message"
+    TOO_LARGE = "the packet is larger than any command (ours)"
+    NO_COMMAND = "CloudCommand without a member of the oneof `command`"
+    UNKNOWN_MODE = "a mode that is neither STAND nor DAMP and comes without data"
+    WRONG_VERSION = "RobotCommand with a protocol_version other than 1"
+    WRONG_EPOCH = "RobotCommand for another run of the firmware: firmware_epoch_id differs (ours)"
+    FACTORY_TEST = "a factory test command; the simulated robot has none (ours)"
+    STALE = "streamed command older than one already taken"
     VELOCITY_NOT_FINITE = "a velocity is NaN or infinite"
     VELOCITY_IN_DAMP = "velocity while the robot is in DAMP"
+    NOT_ARMED = "STAND has not yet been held upright long enough (dialect io)"
+    TRAJECTORY_IN_DAMP = "joint targets while the robot is in DAMP (dialect io)"
     TRAJECTORY_BY_ID = "a stored trajectory is asked for by name; the robot has none"
     TRAJECTORY_NO_SOURCE = "TrajectoryRequest with neither `full` nor `id`"
     TRAJECTORY_EMPTY = "FullTrajectory without segments"
     TRAJECTORY_LENGTH = "positions of a segment are not exactly 25"
     TRAJECTORY_NOT_FINITE = "a position is NaN or infinite"
     FAULT_LATCHED = "trajectory while a fault is latched (ours)"
+    E_STOPPED = "the emergency stop is pressed (ours)"
     NO_POLICY = "velocity to a robot without a policy (ours)"
     NOT_IN_CONTROL = "another client is in control (ours)"
 
@@ -41,16 +50,19 @@ class Note(Enum):
     POSITION_CLAMPED = "position clamped to the joint's range"
     GAIN_CLAMPED = "gain clamped to its range"
     GAINS_WRONG_COUNT = "gain array without exactly 25 values: defaults used"
+    GAINS_LONE = "only one of kp and kd is given: defaults used for both (dialect io)"
     GAINS_NOT_FINITE = "gain array with a value that is not finite: defaults used"
     EARLIER_SEGMENTS = "several segments: the last one is the target"
     FIELD_IGNORED = "upper_only or duration is set: ignored"
     LATCHED = "STAND has no effect while a fault is latched"
+    E_STOPPED = "STAND has no effect while the emergency stop is pressed"
 
 
 DROPPED_BY_FIRMWARE = {
     Outcome.DAMPED: DropReason.VELOCITY_IN_DAMP,
     Outcome.LATCHED: DropReason.FAULT_LATCHED,
     Outcome.NO_POLICY: DropReason.NO_POLICY,
+    Outcome.E_STOPPED: DropReason.E_STOPPED,
 }
 
 
@@ -67,10 +79,12 @@ class Verdict:
     """What became of one packet."""
 
     kind: str
-    """`velocity`, `trajectory`, `mode`, or empty when it could not be told."""
+    """`velocity`, `trajectory`, `mode`, `eol`, or empty when it could not be told."""
     reason: DropReason | None = None
     """Why it was dropped; None when it was taken."""
     notes: tuple[Note, ...] = ()
+    dialect: Dialect | None = None
+    """What it was read as; None when it could not be told."""
 
     @property
     def accepted(self) -> bool:
@@ -87,6 +101,11 @@ class Tally:
         self.accepted: Counter[str] = Counter()
         self.dropped: Counter[DropReason] = Counter()
         self.notes: Counter[Note] = Counter()
+
+    @property
+    def packets(self) -> int:
+        """How many packets were judged."""
+        return self.accepted.total() + self.dropped.total()
 
     def add(self, verdict: Verdict, client: str) -> None:
         """Count a verdict. The first one of each kind is logged as a warning, the rest at debug level."""

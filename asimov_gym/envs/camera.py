@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import sys
 import time
 
 import mujoco
 import mujoco.viewer
 import numpy as np
 
+from asimov_gym.rendering.offscreen import OffscreenRenderer, RenderError, is_headless
+
 _MARKER_RADIUS = 0.06
 _MARKER_COLOUR = np.array([0.95, 0.55, 0.10, 0.8], dtype=np.float32)
-
-
-class RenderError(RuntimeError):
-    """Nothing can be drawn here; the message says what to do."""
-
-
-def check_camera(model: mujoco.MjModel, name: str) -> str:
-    """The name of a camera of the model.
-
-    Raises:
-        ValueError: no such camera; the message lists the known ones.
-    """
-    known = [model.camera(i).name for i in range(model.ncam)]
-    if name not in known:
-        raise ValueError(f"camera must be one of {', '.join(known)}, got {name!r}")
-    return name
 
 
 class OffscreenCamera:
@@ -44,19 +28,8 @@ class OffscreenCamera:
     """
 
     def __init__(self, model: mujoco.MjModel, camera: str, width: int, height: int) -> None:
-        backend = os.environ.get("MUJOCO_GL", "")
-        way_out = (
-            "set the environment variable MUJOCO_GL to egl (or osmesa) before Python starts; "
-            "`asimov doctor` says which of them works here and what to install"
-        )
-        if not backend and _is_headless():
-            raise RenderError(f"there is no display to draw with: {way_out}")
         self._camera = camera
-        self._model, self._data = model, mujoco.MjData(model)
-        try:
-            self._renderer = mujoco.Renderer(model, height, width)
-        except Exception as error:  # each backend raises its own kind
-            raise RenderError(f"the renderer (MUJOCO_GL={backend!r}) does not work: {error}; {way_out}") from error
+        self._renderer = OffscreenRenderer(model, width, height)
 
     def picture(self, qpos: np.ndarray, markers: np.ndarray) -> np.ndarray:
         """A picture, (height, width, 3) uint8.
@@ -65,11 +38,7 @@ class OffscreenCamera:
             qpos: generalised positions of the robot, (nq,).
             markers: points to show, world frame, (M, 3).
         """
-        self._data.qpos[:] = qpos
-        mujoco.mj_forward(self._model, self._data)
-        self._renderer.update_scene(self._data, self._camera)
-        _draw_markers(self._renderer.scene, markers)
-        return self._renderer.render().copy()
+        return self._renderer.draw(qpos, self._camera, decorate=lambda scene: _draw_markers(scene, markers))
 
     def close(self) -> None:
         """Free the graphics memory."""
@@ -92,7 +61,7 @@ class Window:
     """
 
     def __init__(self, model: mujoco.MjModel, period: float) -> None:
-        if _is_headless():
+        if is_headless():
             raise RenderError(
                 "there is no display to open a window on (DISPLAY and WAYLAND_DISPLAY are unset): "
                 "run on a desktop, or use render_mode='rgb_array'"
@@ -126,10 +95,6 @@ class Window:
         deadline = time.perf_counter() + _CLOSING_S
         while self._viewer.is_running() and time.perf_counter() < deadline:
             time.sleep(0.01)
-
-
-def _is_headless() -> bool:
-    return sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _draw_markers(scene: mujoco.MjvScene, markers: np.ndarray) -> None:

@@ -8,7 +8,8 @@ import gymnasium as gym
 import numpy as np
 
 from asimov_gym.envs.batch import EnvBatch, check_action, check_options, row
-from asimov_gym.envs.camera import OffscreenCamera, Window, check_camera
+from asimov_gym.envs.camera import OffscreenCamera, Window
+from asimov_gym.rendering.offscreen import check_camera
 
 _ALL = np.ones(1, dtype=bool)
 
@@ -88,7 +89,7 @@ class RobotEnv(gym.Env[Any, np.ndarray]):
         """The present picture, (height, width, 3) uint8; in mode `human` it goes to the window and None returns.
 
         Raises:
-            asimov_gym.envs.camera.RenderError: nothing can be drawn here; says what to do.
+            asimov_gym.rendering.offscreen.RenderError: nothing can be drawn here; says what to do.
         """
         model, qpos, markers = self._batch.physics.model, self._batch.physics.state().qpos[0], self._batch.markers(0)
         if self.render_mode == "human":

@@ -78,8 +78,8 @@ class TrajectoryEnv(RobotEnv):
     and source), and after a step `reward_terms`, `clipped`, `diverged`.
 
     Args:
-        motion: `squat`, `arm_wiggle`, or a path to a YAML file (format: `asimov_gym.tasks.trajectory.motion`); None for
-            the configuration's.
+        motion: `squat`, `arm_wiggle`, or a path to a YAML or NPZ file (formats: `asimov_gym.tasks.trajectory.motion`;
+            `asimov replay FILE --motion OUT.npz` makes one of a recording); None for the configuration's.
         gains: whether actions carry gains; None for the configuration's (no).
         ankle: form of the ankle linkage, `linear` or `exact`; None for the configuration's (linear).
         episode_s: length of an episode in s; None for the configuration's.

@@ -88,17 +88,15 @@ class TrajectoryBatch:
         target, clipped = self.task.target(action.astype(np.float64))
         reading = self.physics.step(target, DECIMATION)
         diverged = self.physics.diverged.copy()
-        self.state = self.task.advance(self.state, target, reading)
-        reward, shares = self.task.reward(self.state, reading)
-        terminated = self.task.fallen(reading) | self.task.overheated(self.state) | diverged
-        truncated = (self.state.step >= self.task.episode_steps) & ~terminated
+        outcome = self.task.conclude(self.state, target, reading, diverged)
+        self.state = outcome.state
         info = self._info(reading) | {
-            "reward_terms": {name: np.array(share, dtype=np.float32) for name, share in shares.items()},
+            "reward_terms": {name: np.array(share, dtype=np.float32) for name, share in outcome.shares.items()},
             "clipped": clipped,
             "diverged": diverged,
         }
-        reward = np.where(diverged, 0.0, reward).astype(np.float32)
-        return BatchStep(self.task.observe(self.state, reading), reward, terminated, truncated, info)
+        observation, reward = self.task.observe(self.state, reading), outcome.reward.astype(np.float32)
+        return BatchStep(observation, reward, outcome.terminated, outcome.truncated, info)
 
     def _info(self, reading: Reading) -> Info:
         fallen = self.task.fallen(reading)

@@ -10,8 +10,9 @@ import numpy as np
 from gymnasium.vector.utils import batch_space
 
 from asimov_gym.envs.batch import EnvBatch, check_action, check_options, masked_info, replace_rows, row
-from asimov_gym.envs.camera import OffscreenCamera, check_camera
+from asimov_gym.envs.camera import OffscreenCamera
 from asimov_gym.envs.env import check_render_mode, check_size
+from asimov_gym.rendering.offscreen import check_camera
 
 
 class RobotVectorEnv(gym.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
@@ -108,7 +109,7 @@ class RobotVectorEnv(gym.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         """A picture of each copy, (height, width, 3) uint8.
 
         Raises:
-            asimov_gym.envs.camera.RenderError: nothing can be drawn here; says what to do.
+            asimov_gym.rendering.offscreen.RenderError: nothing can be drawn here; says what to do.
         """
         if self.render_mode is None:
             gym.logger.warn("render() does nothing without render_mode='rgb_array'")

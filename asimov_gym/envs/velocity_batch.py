@@ -96,20 +96,17 @@ class VelocityBatch:
             self.reading = self.physics.step(JointTarget(target), DECIMATION)
             diverged |= self.physics.diverged
             fallen |= self.task.fallen(self.reading)
-        self.state, advance = self.task.advance(self.state, before, self.reading, fallen | diverged)
-        reward, shares = self.task.reward(advance)
-        finished = self.task.finished(self.state)
-        terminated = fallen | diverged | finished
-        truncated = (self.state.step >= self.task.episode_steps) & ~terminated
+        outcome = self.task.conclude(self.state, before, self.reading, fallen, diverged)
+        self.state = outcome.state
         info = self._info() | {
             "applied_command": self._driver.command.astype(np.float32),
-            "reward_terms": {name: np.array(share, dtype=np.float32) for name, share in shares.items()},
+            "reward_terms": {name: np.array(share, dtype=np.float32) for name, share in outcome.shares.items()},
             "clipped": (np.abs(action) > self.action_space.high).sum(axis=1),
-            "success": finished,
+            "success": self.task.finished(self.state),
             "diverged": diverged,
         }
-        reward = np.where(diverged, 0.0, reward).astype(np.float32)
-        return BatchStep(self.task.observe(self.state, self.reading), reward, terminated, truncated, info)
+        observation, reward = self.task.observe(self.state, self.reading), outcome.reward.astype(np.float32)
+        return BatchStep(observation, reward, outcome.terminated, outcome.truncated, info)
 
     def _info(self) -> Info:
         return {

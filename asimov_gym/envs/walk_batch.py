@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,12 @@ from asimov_gym.envs.streams import CopyStreams
 from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile, PhysicsState, Reading
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask
+from asimov_gym.tasks.walk import curriculum as levels
 from asimov_gym.tasks.walk import task as walk
+from asimov_gym.tasks.walk.curriculum import Levels
 
 _ACTIONS = len(POLICY_JOINT_NAMES)
+_WIDTHS = walk.STEP_DRAWS | walk.START_DRAWS
 _FOREVER = np.iinfo(np.int64).max // 2
 """Steps left of a command that is never drawn anew."""
 
@@ -54,6 +57,16 @@ class Curriculum:
     kick: float
     mean_length: float
     """Running mean length of finished episodes, policy steps."""
+
+    @property
+    def levels(self) -> Levels:
+        """The same as numbers of NumPy."""
+        return Levels(*(np.float64(value) for value in vars(self).values()))
+
+    @classmethod
+    def of(cls, levels: Levels) -> Curriculum:
+        """Plain numbers of levels."""
+        return cls(**{name: float(value) for name, value in vars(levels).items()})
 
 
 class WalkBatch:
@@ -102,7 +115,9 @@ class WalkBatch:
         self.curriculum = Curriculum(penalty=first, kick=0.0 if curriculum else 1.0, mean_length=0.0)
         self.rng = np.random.default_rng(seed)
         self._streams: CopyStreams | None = None
-        self.body = _nominal_body(copies)
+        self._given: Mapping[str, np.ndarray] | None = None
+        """Uniform numbers to use instead of own ones, during a replayed step."""
+        self.body = nominal_body(copies)
         self._body_drawn = np.zeros(copies, dtype=bool)
         self.state: WalkState
         self.reading: Reading
@@ -124,7 +139,7 @@ class WalkBatch:
             self.rng = np.random.default_rng(seed)
             self._streams = None
             self._body_drawn[:] = False
-        self.state = self.task.initial_state(self._draw(walk.RESET_DRAWS))
+        self.state = self.task.initial_state(self._draw("state"))
         self._start(np.ones(self.copies, dtype=bool))
         if self.stagger:
             steps = self.rng.integers(0, self.task.episode_steps, self.copies)
@@ -165,23 +180,19 @@ class WalkBatch:
     def _start(self, which: np.ndarray) -> None:
         """Put copies into a fresh episode: physics, body figures and task state."""
         count = int(which.sum())
-        joints, height, quat, velocity = self.task.initial_pose(self._draw(walk.POSE_DRAWS, which))
+        joints, height, quat, velocity = self.task.initial_pose(self._draw("pose", which))
         position = np.zeros((count, 3))
         position[:, 2] = height
         qvel = np.zeros((count, self.physics.model.nv))
         qvel[:, 0:6] = velocity
         self.physics.reset(self.physics.configuration(joints, position, quat), qvel, copies=which)
-        fresh = self.task.initial_state(self._draw(walk.RESET_DRAWS, which))
-        if not self.randomise:
-            fresh = replace(fresh, delay=np.zeros_like(fresh.delay))
-        if not self.noise:
-            fresh = replace(fresh, joint_zero=np.zeros_like(fresh.joint_zero))
+        fresh = self.task.initial_state(self._draw("state", which), self.randomise, self.noise)
         for f in fields(WalkState):
             getattr(self.state, f.name)[which] = getattr(fresh, f.name)
         if self.randomise:
             redraw = which & (self._lucky(which) | ~self._body_drawn)
             if redraw.any():
-                drawn = self.task.draw_body(self._draw(walk.BODY_DRAWS, redraw))
+                drawn = self.task.draw_body(self._draw("body", redraw))
                 for f in fields(BodyParameters):
                     getattr(self.body, f.name)[redraw] = getattr(drawn, f.name)
                 self.physics.set_parameters(self.body, copies=redraw)
@@ -189,15 +200,24 @@ class WalkBatch:
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
-    def step(self, action: np.ndarray) -> WalkStep:
+    def step(self, action: np.ndarray, draws: Mapping[str, np.ndarray] | None = None) -> WalkStep:
         """One policy step (20 ms) of every copy.
 
         Args:
             action: network outputs in policy order, (N, 23); finite values out of bounds are clipped and counted.
+            draws: uniform numbers to use instead of the batch's own, by the names in `STEP_DRAWS` and `START_DRAWS` of
+                the task, (N, width) each: with those that another engine recorded, its rollout is replayed here.
 
         Raises:
             ValueError: a wrong shape, or NaN.
         """
+        self._given = draws
+        try:
+            return self._step(action)
+        finally:
+            self._given = None
+
+    def _step(self, action: np.ndarray) -> WalkStep:
         wanted = check_action(action, (self.copies, _ACTIONS))
         clipped_action = self.task.clip_action(wanted)
         state = self.task.push_action(self.state, clipped_action)
@@ -205,19 +225,15 @@ class WalkBatch:
             state = self._kick(state)
         target = JointTarget(self.task.targets(state))
         self.reading = self.physics.step(target, DECIMATION).astype(np.float32)
-        diverged = self.physics.diverged
-        state, motion = self.task.motion(state, self.reading)
-        reward, shares = self.task.reward(motion, self.curriculum.penalty)
-        terminated = self.task.fallen(self.reading) | diverged
-        state = self.task.advance(state, self._draw(walk.COMMAND_DRAWS))
-        truncated = (state.step >= self.task.episode_steps) & ~terminated
-        reward = np.where(diverged, np.float32(0.0), reward).astype(np.float32)
-        self.state = state
-        done = terminated | truncated
+        outcome = self.task.conclude(
+            state, self.reading, self.physics.diverged, self._draw("command"), self.curriculum.penalty
+        )
+        self.state = outcome.state
+        done = outcome.terminated | outcome.truncated
         last_reading = self.reading
         final = None
         if done.any():
-            self._grow(state.step[done])
+            self.curriculum = Curriculum.of(levels.after_episodes(self.curriculum.levels, self.state.step, done))
             if self.autoreset:
                 final, _ = self._observe()
                 self._start(done)
@@ -227,11 +243,11 @@ class WalkBatch:
         return WalkStep(
             observation=observation,
             privileged=privileged,
-            reward=reward,
-            terminated=terminated,
-            truncated=truncated,
+            reward=outcome.reward.astype(np.float32),
+            terminated=outcome.terminated,
+            truncated=outcome.truncated,
             final_observation=final_observation,
-            shares=shares,
+            shares=dict(outcome.shares),
             reading=last_reading,
             clipped=int((clipped_action != wanted).sum()),
         )
@@ -246,39 +262,32 @@ class WalkBatch:
         due = state.kick_left <= 0
         if not due.any():
             return state
-        kick, wait = self.task.draw_kick(self._draw(walk.KICK_DRAWS, due), self.curriculum.kick)
-        self.physics.kick(kick, copies=due)
-        left = state.kick_left.copy()
-        left[due] = wait
-        return replace(state, kick_left=left)
-
-    def _grow(self, lengths: np.ndarray) -> None:
-        """Update the curriculum with the lengths of finished episodes."""
-        c = self.curriculum
-        c.mean_length += (float(lengths.mean()) - c.mean_length) * min(1.0, len(lengths) / self.copies)
+        draws = np.zeros((self.copies, walk.KICK_DRAWS), dtype=np.float32)
+        draws[due] = self._draw("kick", due)
+        state, kick = self.task.kick(state, draws, self.curriculum.kick)
+        self.physics.kick(kick[due], copies=due)
+        return state
 
     def advance_curriculum(self) -> None:
         """Let the levels grow by one step if episodes last. The trainer calls it once per policy step."""
-        c, settings = self.curriculum, self.config.curriculum
-        if c.mean_length < settings.long_episode_steps:
-            return
-        c.penalty = min(1.0, c.penalty * (1.0 + settings.penalty_growth))
-        if c.penalty >= 1.0:
-            c.kick = min(1.0, c.kick + settings.kick_growth)
+        self.curriculum = Curriculum.of(levels.grown(self.curriculum.levels, self.config.curriculum))
 
     def _observe(self, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Both observations of all copies; with `which`, sensor noise is drawn for those copies only."""
         draws = None
         if self.noise and which is None:
-            draws = self._draw(walk.SENSOR_DRAWS)
+            draws = self._draw("sensors")
         elif self.noise:
             draws = np.full((self.copies, walk.SENSOR_DRAWS), 0.5, dtype=np.float32)
-            draws[which] = self._draw(walk.SENSOR_DRAWS, which)
+            draws[which] = self._draw("sensors", which)
         observation = self.task.observe(self.state, self.reading, draws)
         return observation, self.task.privilege(self.state, self.reading, self.body)
 
-    def _draw(self, width: int, which: np.ndarray | None = None) -> np.ndarray:
-        """Uniform numbers, a row for each copy of `which`."""
+    def _draw(self, purpose: str, which: np.ndarray | None = None) -> np.ndarray:
+        """Uniform numbers for a purpose, a row for each copy of `which`."""
+        if self._given is not None:
+            return np.asarray(self._given[purpose])[slice(None) if which is None else which]
+        width = _WIDTHS[purpose]
         if self._streams is not None:
             return self._streams.draw(width, which)
         return self.rng.random((self.copies if which is None else int(which.sum()), width), dtype=np.float32)
@@ -286,6 +295,8 @@ class WalkBatch:
     def _lucky(self, which: np.ndarray) -> np.ndarray:
         """Copies of `which` that get a new body, (N,) bool; other rows mean nothing."""
         share = self.config.randomisation.redraw_share
+        if self._given is not None:
+            return np.asarray(self._given["redraw"])[:, 0] < share
         if self._streams is None:
             return self.rng.random(self.copies) < share
         lucky = np.zeros(self.copies, dtype=bool)
@@ -340,7 +351,8 @@ def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def _nominal_body(copies: int) -> BodyParameters:
+def nominal_body(copies: int) -> BodyParameters:
+    """The robot's own figures, N rows of them."""
     joints = len(JOINT_NAMES)
     return BodyParameters(
         foot_friction=np.full(copies, 0.6, dtype=np.float32),

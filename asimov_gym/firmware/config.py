@@ -5,10 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from asimov_gym.firmware.battery import BatteryConfig
+from asimov_gym.firmware.can_bus import CanConfig
 from asimov_gym.firmware.gantry import GantryConfig
 from asimov_gym.firmware.motors import MotorConfig
+from asimov_gym.firmware.policy_control import InferenceConfig
 from asimov_gym.robot.ankle import FORMS, Form
-from asimov_gym.robot.safety_limits import FALL_GRAVITY_Z, TRIP_C, TRIP_CLEAR_C, WARNING_C
+from asimov_gym.robot.safety_limits import (
+    FALL_GRAVITY_Z,
+    TRIP_C,
+    TRIP_CLEAR_C,
+    TUMBLE_RATE,
+    TUMBLE_TILT_DEG,
+    WARNING_C,
+)
 
 
 @dataclass(frozen=True)
@@ -18,11 +28,15 @@ class FirmwareConfig:
     stand_ramp_s: float = 2.0
     """Time from the present pose to the standing pose."""
     trajectory_timeout_s: float = 0.2
-    """MOVE/TRAJECTORY falls back to DAMP after this long without a request."""
+    """MOVE/TRAJECTORY falls back to DAMP after this long without a request, unless the last one says otherwise."""
     damp_kd: float = 2.0
     """Damping of every joint in DAMP, N·m·s/rad. Assumed."""
     fall_gravity_z: float = FALL_GRAVITY_Z
     """A fall is when the body-frame gravity's z rises above this: tilt over 60 degrees."""
+    tumble_tilt_deg: float = TUMBLE_TILT_DEG
+    """A tumble is a tilt beyond this, degrees. Assumed."""
+    tumble_rate: float = TUMBLE_RATE
+    """Or a body rate beyond this, rad/s. Assumed."""
     warning_c: float = WARNING_C
     """Motor temperature that raises a warning, degrees Celsius."""
     trip_c: float = TRIP_C
@@ -31,11 +45,22 @@ class FirmwareConfig:
     """The over-temperature alert's cause lasts until the motor is below this, degrees Celsius. Assumed."""
     range_margin: float = 0.05
     """A joint is out of range when it is this far past its limit, rad. Assumed."""
-    action_limit: float = 10.0
-    """A network output beyond this is a runaway policy: at 0.25 rad per unit it is past every joint's range.
-    Assumed."""
+    overcurrent_s: float = 0.05
+    """A motor's current may be beyond its family's peak for this long, s. Assumed."""
+    imu_stale_s: float = 0.01
+    """IMU_STALE after this long without a new sample, s. Assumed."""
+    imu_failure_s: float = 0.1
+    """IMU_FAILURE, which latches DAMP, after this long without a new sample, s. Assumed."""
+    watchdog_s: float = 0.5
+    """A gap of this long between two control steps is a fault, s; in real time only. Assumed, and lenient: a busy
+    machine is late, and says so in its diagnostics, but the robot goes on."""
     ankle: Form = "linear"
     """Mechanics of the ankle linkage: `linear` as the firmware computes it, or `exact`."""
+    aged_readings: bool = False
+    """Whether each joint reading is as old as its motor's polling slot makes it, up to 7.5 ms; see `can_bus`."""
+    inference: InferenceConfig = field(default_factory=InferenceConfig)
+    can: CanConfig = field(default_factory=CanConfig)
+    battery: BatteryConfig = field(default_factory=BatteryConfig)
     gantry: GantryConfig = field(default_factory=GantryConfig)
     motors: MotorConfig = field(default_factory=MotorConfig)
 
@@ -45,11 +70,16 @@ class FirmwareConfig:
             "trajectory_timeout_s": (0.005, 60.0),
             "damp_kd": (0.0, 5.0),
             "fall_gravity_z": (-1.0, 1.0),
+            "tumble_tilt_deg": (0.0, 180.0),
+            "tumble_rate": (0.0, 1e3),
             "warning_c": (-50.0, 300.0),
             "trip_c": (-50.0, 300.0),
             "trip_clear_c": (-50.0, 300.0),
             "range_margin": (0.0, 1.0),
-            "action_limit": (0.0, 1e6),
+            "overcurrent_s": (0.0, 60.0),
+            "imu_stale_s": (0.0, 60.0),
+            "imu_failure_s": (0.0, 60.0),
+            "watchdog_s": (0.05, 3600.0),
         }
         for name, (low, high) in allowed.items():
             value = getattr(self, name)

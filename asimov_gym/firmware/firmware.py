@@ -2,28 +2,43 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
-from dataclasses import dataclass
+import secrets
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asimov_gym.firmware.alerts import AlertBoard
-from asimov_gym.firmware.clock import MICROSECONDS, Clock
+from asimov_gym.firmware.battery import Battery
+from asimov_gym.firmware.can_bus import CanBuses
+from asimov_gym.firmware.clock import MICROSECONDS, Clock, StepClock
 from asimov_gym.firmware.commands import Command, Stand, Trajectory, Velocity
+from asimov_gym.firmware.condition import Condition
 from asimov_gym.firmware.config import FirmwareConfig
+from asimov_gym.firmware.faults import FaultInjector
 from asimov_gym.firmware.gantry import Gantry
 from asimov_gym.firmware.linkage import Linkage
-from asimov_gym.firmware.modes import Outcome, State, Trigger, transition
+from asimov_gym.firmware.modes import Outcome, State, Transition, Trigger, transition
 from asimov_gym.firmware.motors import Motors
-from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault
+from asimov_gym.firmware.policy_control import InferenceTime, PolicyControl, PolicyFault
 from asimov_gym.firmware.safety import Safety
+from asimov_gym.firmware.sensing import ImuWatch, Sensing, silent_joints
 from asimov_gym.firmware.snapshot import FirmwareState
-from asimov_gym.physics import DECIMATION, CPhysics, JointTarget
+from asimov_gym.firmware.torque_limits import TorqueLimits
+from asimov_gym.firmware.trajectory_control import TrajectoryControl
+from asimov_gym.firmware.watchdog import Watchdog
+from asimov_gym.physics import CPhysics, JointTarget
 from asimov_gym.policy import Policy
 from asimov_gym.robot.alerts import AlertId
-from asimov_gym.robot.joints import JOINT_NAMES, RANGE, STAND_POSITION
+from asimov_gym.robot.joints import JOINT_NAMES, STAND_POSITION
 
 _log = logging.getLogger(__name__)
+
+_ENCODER_ERROR = 5
+"""What a motor driver answers when its encoder fails."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +54,14 @@ class Firmware:
     """The robot's firmware on a simulated robot.
 
     Boots in DAMP, hanging from the gantry in the standing pose. `command` takes effect at once, `tick` runs one control
-    step of 5 ms.
+    step of 5 ms. Faults are injected through `faults`.
 
     Args:
         physics: one robot.
         clock: read by every time-out, ramp and timestamp.
         policy: the MOVE/POLICY network, as `asimov_gym.policy.load_policy` returns it; without, velocities are dropped.
         config: times, thresholds, gantry and motor figures.
-        seed: of the sensor noise.
+        seed: of the sensor noise, and with a `StepClock` of the epochs.
 
     Raises:
         ValueError: the physics holds more than one robot.
@@ -64,14 +79,28 @@ class Firmware:
             raise ValueError(f"firmware drives one robot: physics.copies must be 1, got {physics.copies}")
         self.physics = physics
         self.clock = clock
-        self.config = config or FirmwareConfig()
-        self.gantry = Gantry(physics.model, self.config.gantry)
-        self.motors = Motors(self.config.motors, seed)
-        self.linkage = Linkage(self.config.ankle)
-        self.policy = None if policy is None else PolicyControl(policy, self.config.action_limit, self.linkage)
-        self._safety = Safety(self.config)
+        self.config = c = config or FirmwareConfig()
+        realtime = not isinstance(clock, StepClock)
+        self.gantry = Gantry(physics.model, c.gantry)
+        self.motors = Motors(c.motors, seed)
+        self.battery = Battery(c.battery)
+        self.linkage = Linkage(c.ankle)
+        self.policy = None if policy is None else PolicyControl(policy, c.inference, self.linkage, realtime)
+        self.faults = FaultInjector(self)
+        """Where the robot is broken on purpose."""
+        self.seed = seed
+        self._sensing = Sensing(self.linkage, physics.timestep, c.aged_readings)
+        self._safety = Safety(c)
+        self._buses = CanBuses(c.can)
+        self._imu = ImuWatch(c.imu_stale_s, c.imu_failure_s)
+        self._watchdog = Watchdog(round(physics.timestep * MICROSECONDS), c.watchdog_s, realtime)
+        self._limits = TorqueLimits(physics.figures.kp, physics.figures.kd, self.linkage)
+        self._trajectories = TrajectoryControl(self.linkage, c.trajectory_timeout_s)
+        self._stand = self.linkage.reached_position(STAND_POSITION)[None]
         self._damp_kp = np.zeros((1, len(JOINT_NAMES)))
-        self._damp_kd = np.full((1, len(JOINT_NAMES)), self.config.damp_kd)
+        self._damp_kd = np.full((1, len(JOINT_NAMES)), c.damp_kd)
+        self.e_stopped = False
+        """Whether the E-stop is pressed."""
         self.boots = 0
         """How often the firmware has booted."""
         self.ticks = 0
@@ -84,22 +113,36 @@ class Firmware:
     def _boot(self) -> None:
         self.boots += 1
         self._boot_us = self.clock.now_us()
+        self._boot_ticks = self.ticks
+        self._epoch = self._new_epoch()
         self.alerts = AlertBoard()
+        self._safety.reset()
+        self._buses.reset()
+        self._watchdog.reset()
+        self._trajectories.reset()
         self._state = State.DAMP
         self._entered_us = 0
-        self._entry_position = self._reading.joint_position.copy()
-        self._velocity = np.zeros(3)
-        self.trajectory: Trajectory | None = None
-        """The last trajectory taken in this boot."""
-        self._trajectory_us = 0
-        self._policy_ticks = 0
-        self._target = JointTarget(self._entry_position)
+        self._look()
+        self._motor_torque = self.linkage.motor_torque(self._reading.joint_torque[0], self._reading.joint_position[0])
+        self._entry_position = self._sense.reading.joint_position
+        self._hold_velocity(None)
         self.snapshot = self._snapshot()
 
+    def _new_epoch(self) -> int:
+        if isinstance(self.clock, StepClock):
+            digest = hashlib.blake2b(f"{self.seed}/{self.boots}".encode(), digest_size=8).digest()
+            return int.from_bytes(digest, "big") >> 1 or 1
+        return secrets.randbits(63) or 1
+
     def restart(self) -> None:
-        """Restart the firmware: the only thing that clears a latched fault. Heat and the robot's pose stay."""
+        """Restart the firmware: the only thing that clears a latched fault. Heat, charge, injected faults, a pressed
+        E-stop and the robot's pose stay."""
         _log.info("firmware restarts")
         self._boot()
+
+    def resume(self) -> None:
+        """Tell the firmware that its loop starts again after a pause that was meant, which is no stall."""
+        self._watchdog.reset()
 
     def hang(self) -> None:
         """Put the robot where it boots: standing pose, at rest, hanging (on its feet without a gantry)."""
@@ -107,12 +150,13 @@ class Firmware:
         qpos[2] += self.gantry.hang_lift
         self.physics.reset(qpos, qvel)
         self.gantry.rehang()
-        self._reading = self.physics.read()
+        self._sensing.forget()
+        self._look()
 
     def inject(self, alert: AlertId, source: int = 0, value: int = 0, threshold: int = 0) -> None:
-        """Raise an alert as if the hardware had: a rehearsal of a fault. A critical one latches DAMP."""
+        """Raise an alert as if the hardware had; see `FaultInjector.raise_alert`. A critical one latches DAMP."""
         if self.alerts.set(alert, self.now_us, value, threshold, source):
-            self._fault()
+            self._fire(Trigger.FAULT)
 
     # -- commands ----------------------------------------------------------------------------------
 
@@ -126,130 +170,213 @@ class Firmware:
         """Firmware clock: microseconds since this boot."""
         return self.clock.now_us() - self._boot_us
 
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """The last trajectory taken in this boot."""
+        return self._trajectories.last
+
     def command(self, command: Command) -> Receipt:
         """Take a checked command; the mode changes at once, the joints from the next tick on."""
         trigger = command.trigger
         if trigger is Trigger.VELOCITY and self.policy is None and self._state is not State.DAMP:
             return Receipt(Outcome.NO_POLICY)
-        result = transition(self._state, trigger, self.alerts.latched)
+        result = self._fire(trigger)
         if result.outcome is not Outcome.TAKEN:
             return Receipt(result.outcome)
-        self._enter(result.state, trigger)
         clamped = False
         if isinstance(command, Velocity):
-            assert self.policy is not None
-            self._velocity = self.policy.limit(command.vector)
-            clamped = not np.array_equal(self._velocity, command.vector)
-            if clamped:
-                _log.debug("velocity %s clamped to the policy's range: %s", command.vector, self._velocity)
+            clamped = self._hold_velocity(command)
         elif isinstance(command, Trajectory):
-            self.trajectory, self._trajectory_us = command, self.now_us
-        elif isinstance(command, Stand) and self.alerts.latched:
-            _log.info("STAND has no effect: error_flags 0x%x; restart the firmware", self.alerts.error_flags)
+            self._trajectories.take(command, self.alerts, self.now_us)
+        elif isinstance(command, Stand) and self._state is State.DAMP:
+            reason = "the E-stop is pressed" if self.e_stopped else f"error_flags 0x{self.alerts.error_flags:x}"
+            _log.info("STAND has no effect: %s", reason)
         return Receipt(Outcome.TAKEN, clamped)
 
+    def stop_walking(self) -> None:
+        """Make the velocity zero where the robot walks: whoever commanded it has gone. The mode stays."""
+        if self._state is State.POLICY:
+            self._hold_velocity(None)
+
+    def e_stop(self, pressed: bool) -> None:
+        """Press or release the E-stop. Pressing it leads to DAMP at once; releasing it leaves the robot there.
+
+        While it is pressed no command but DAMP has an effect. It latches nothing and sets no error flag.
+        """
+        if pressed != self.e_stopped:
+            _log.warning("E-stop %s", "pressed" if pressed else "released")
+        self.e_stopped = pressed
+        if pressed:
+            self._fire(Trigger.E_STOP)
+
+    def _fire(self, trigger: Trigger) -> Transition:
+        """Run the mode machine."""
+        result = transition(self._state, trigger, self.alerts.latched, self.e_stopped)
+        if result.state is not self._state:
+            if trigger in (Trigger.SILENCE, Trigger.E_STOP):  # a change that no command and no other alert explains
+                self.alerts.set(AlertId.MODE_CHANGE, self.now_us, result.state.mode, self._state.mode)
+            self._enter(result.state, trigger)
+        return result
+
     def _enter(self, state: State, trigger: Trigger) -> None:
-        if state is self._state:
-            return
         _log.info("%s -> %s on %s", self._state.value, state.value, trigger.value)
         self._state = state
         self._entered_us = self.now_us
-        self._entry_position = self._reading.joint_position.copy()
-        self._velocity = np.zeros(3)
+        self._entry_position = self._sense.reading.joint_position
+        self._hold_velocity(None)
         if state is State.POLICY:
             assert self.policy is not None
             self.policy.reset()
-            self._policy_ticks = 0
 
-    def _fault(self) -> None:
-        self._enter(transition(self._state, Trigger.FAULT, latched=True).state, Trigger.FAULT)
+    def _hold_velocity(self, command: Velocity | None) -> bool:
+        """Walk by a command, None for zero. True if it was clamped to the policy's range."""
+        self._velocity_until_us: int | None = None
+        if command is None:
+            self._velocity = np.zeros(3)
+            return False
+        assert self.policy is not None
+        self._velocity = self.policy.limit(command.vector)
+        if command.timeout_s is not None:
+            self._velocity_until_us = self.now_us + round(command.timeout_s * MICROSECONDS)
+        clamped = not np.array_equal(self._velocity, command.vector)
+        if clamped:
+            _log.debug("velocity %s clamped to the policy's range: %s", command.vector, self._velocity)
+        return clamped
 
     # -- the loop ----------------------------------------------------------------------------------
 
     def tick(self) -> FirmwareState:
         """Run one control step and return the robot's state after it."""
-        now = self.now_us
-        self._reading = self.physics.read()  # anew: someone may have pushed or moved the robot since
-        self._watch(now)
-        target = self._joint_target(now)
-        dt = self.physics.timestep
+        start = time.perf_counter()
+        clock_us = self.clock.now_us()
+        now, dt = clock_us - self._boot_us, self.physics.timestep
+        self.faults.update(clock_us)
+        condition = self.faults.condition
+        self._look()  # anew: someone may have pushed or moved the robot since
+        self._watch(condition, now, clock_us)
+        target = self._machine_target(self._joint_target(condition, now), condition)
+        self._sensing.remember(self._reading, self.motors.current, self.motors.temperature)
         wrench = self.gantry.wrench(self._state, self._ramp(now), self._reading, dt)
-        self._reading = self.physics.step(target, 1, wrench)
-        self.motors.step(self._motor_torque(), dt)
+        self._reading = self.physics.step(target, 1, _sum_wrenches(wrench, condition.wrench))
+        position = self._reading.joint_position[0]
+        self._motor_torque = self.linkage.motor_torque(self._reading.joint_torque[0], position)
+        self.motors.step(self._motor_torque, dt, condition.leak)
+        if self.battery.due(dt):
+            speed = self.linkage.motor_velocity(self._reading.joint_velocity[0], position)
+            self.battery.sample(self._motor_torque, speed)
+        self._sense = self._sensing.look(self._reading, self.motors.current, self.motors.temperature, condition)
         self.ticks += 1
         self.snapshot = self._snapshot()
+        self._watchdog.add(time.perf_counter() - start)
         return self.snapshot
 
-    def _watch(self, now: int) -> None:
+    def _look(self) -> None:
+        """Sense the robot as it is now."""
+        self._reading = self.physics.read()
+        motors = self.motors
+        self._sense = self._sensing.look(self._reading, motors.current, motors.temperature, self.faults.condition)
+
+    def _watch(self, condition: Condition, now: int, clock_us: int) -> None:
         """Faults and time-outs."""
-        latched = self._safety.check(self._state, self._reading, self.motors.temperature, self.alerts, now)
+        board = self.alerts
+        latched = self._watchdog.check(board, now)
+        latched |= self._safety.check(self._state, self._sense, board, now)
+        latched |= self._buses.check(condition, board, now, clock_us)
+        latched |= self._imu.check(condition, board, now, clock_us)
+        latched |= self.battery.check(board, now)
+        if condition.encoder_fault is not None:
+            for motor in np.flatnonzero(condition.encoder_fault).tolist():
+                latched |= board.set(AlertId.MOTOR_ENCODER_ERROR, now, _ENCODER_ERROR, source=motor)
         if self.physics.diverged[0]:
             _log.error("the simulation diverged and the robot was put back on its feet: latching DAMP")
-            latched |= self.alerts.set(AlertId.WATCHDOG_TIMEOUT, now)
+            latched |= board.set(AlertId.WATCHDOG_TIMEOUT, now)
         if latched:
-            self._fault()
-        silent_us = round(self.config.trajectory_timeout_s * MICROSECONDS)
-        if self._state is State.TRAJECTORY and now - self._trajectory_us >= silent_us:
-            self._enter(transition(self._state, Trigger.SILENCE, latched=False).state, Trigger.SILENCE)
-        self.alerts.expire(now)
+            self._fire(Trigger.FAULT)
+        if self._state is State.TRAJECTORY and self._trajectories.silent(now):
+            self._fire(Trigger.SILENCE)
+        if self._velocity_until_us is not None and now >= self._velocity_until_us:
+            self._hold_velocity(None)
+        board.expire(now)
 
     def _ramp(self, now: int) -> float:
         """Share of the stand ramp that is done, 0 to 1."""
         ramp_us = self.config.stand_ramp_s * MICROSECONDS
         return 1.0 if ramp_us <= 0.0 else min(1.0, (now - self._entered_us) / ramp_us)
 
-    def _joint_target(self, now: int) -> JointTarget:
-        if self._state is State.POLICY:
-            if self._policy_ticks % DECIMATION == 0:
-                self._target = self._policy_target(now)
-            self._policy_ticks += 1
-        # Not `else`: a policy fault has just taken the robot to DAMP.
-        if self._state is State.DAMP:
-            return JointTarget(self._reading.joint_position, kp=self._damp_kp, kd=self._damp_kd)
-        if self._state is State.STAND:
-            start, share = self._entry_position, self._ramp(now)
-            goal = self.linkage.reached_position(STAND_POSITION)
-            return JointTarget(start + share * (goal - start))
-        if self._state is State.TRAJECTORY:
-            assert self.trajectory is not None
-            t = self.trajectory
-            gains = [None if gain is None else gain[None] for gain in (t.kp, t.kd)]
-            return JointTarget(np.clip(t.position, RANGE[:, 0], RANGE[:, 1])[None], kp=gains[0], kd=gains[1])
-        return self._target
+    def _joint_target(self, condition: Condition, now: int) -> JointTarget:
+        """What the mode asks of the joints."""
+        target = self._policy_target(condition, now) if self._state is State.POLICY else None
+        # Asked anew: a policy fault may just have taken the robot to DAMP.
+        match self._state:
+            case State.DAMP:
+                return JointTarget(self._sense.reading.joint_position, kp=self._damp_kp, kd=self._damp_kd)
+            case State.STAND:
+                start = self._entry_position
+                return JointTarget(start + self._ramp(now) * (self._stand - start))
+            case State.TRAJECTORY:
+                return self._trajectories.target
+        return JointTarget(self._entry_position) if target is None else target
 
-    def _policy_target(self, now: int) -> JointTarget:
-        """Ask the network; a failing or runaway one latches DAMP."""
+    def _policy_target(self, condition: Condition, now: int) -> JointTarget | None:
+        """Ask the network; a failing, runaway or missing one latches DAMP."""
         assert self.policy is not None
         try:
-            return self.policy.step(self._reading, self._velocity)
+            return self.policy.step(self._sense.reading, self._velocity, condition, self.alerts, now)
         except PolicyFault as fault:
             _log.error("policy fault %s: %s", fault.alert.name, fault)
             if self.alerts.set(fault.alert, now, fault.value, fault.threshold):
-                self._fault()
-            return self._target
+                self._fire(Trigger.FAULT)
+            return None
 
-    def _motor_torque(self) -> np.ndarray:
-        return self.linkage.motor_torque(self._reading.joint_torque[0], self._reading.joint_position[0])
+    def _machine_target(self, target: JointTarget, condition: Condition) -> JointTarget:
+        """What the motors can make of a target, at the torque that their speed leaves and without the silent ones."""
+        reading = self._reading
+        target = self._limits.apply(target, reading.joint_position, reading.joint_velocity)
+        if condition.silent is None:
+            return target
+        alive = ~silent_joints(condition.silent)[None]
+        figures = self.physics.figures
+        kp = figures.kp if target.kp is None else target.kp
+        kd = figures.kd if target.kd is None else target.kd
+        return replace(target, kp=kp * alive, kd=kd * alive, load=None if target.load is None else target.load * alive)
 
     def _snapshot(self) -> FirmwareState:
-        r = self._reading
+        seen = self._sense.reading
         return FirmwareState(
             boot=self.boots,
+            epoch=self._epoch,
+            tick=self.ticks - self._boot_ticks,
             timestamp_us=self.now_us,
             state=self._state,
-            joint_position=r.joint_position[0],
-            joint_velocity=r.joint_velocity[0],
-            joint_torque=r.joint_torque[0],
-            motor_position=self.linkage.motor_position(r.joint_position[0]),
-            motor_velocity=self.linkage.motor_velocity(r.joint_velocity[0], r.joint_position[0]),
-            motor_torque=self._motor_torque(),
-            motor_current=self.motors.current,
-            motor_temperature=self.motors.temperature.copy(),
-            imu_quat=r.base_quat[0],
-            imu_gyro=r.gyro[0],
-            imu_gravity=r.gravity[0],
+            e_stop=self.e_stopped,
+            joint_position=seen.joint_position[0],
+            joint_velocity=seen.joint_velocity[0],
+            joint_torque=self._reading.joint_torque[0],
+            motor_torque=self._motor_torque,
+            motor_current=self._sense.current,
+            motor_temperature=self._sense.temperature,
+            imu_quat=seen.base_quat[0],
+            imu_gyro=seen.gyro[0],
+            imu_gravity=seen.gravity[0],
             alerts=self.alerts.active,
             error_flags=self.alerts.error_flags,
             velocity=self._velocity,
             gantry_force=self.gantry.force,
+            battery=self.battery.state,
+            cycle=self._watchdog.cycle,
+            inference=InferenceTime() if self.policy is None else self.policy.time,
+            bus_losses=self._buses.losses,
+            linkage=self.linkage,
         )
+
+
+def _sum_wrenches(
+    rope: dict[str, np.ndarray] | None, pushes: Mapping[str, np.ndarray]
+) -> Mapping[str, np.ndarray] | None:
+    """Force and torque of rope and pushes together, by body."""
+    if not pushes:
+        return rope
+    total = dict(pushes)
+    for body, wrench in (rope or {}).items():
+        total[body] = total.get(body, 0.0) + wrench
+    return total

@@ -11,6 +11,8 @@ Figures are ours; the real bench's are not published.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -22,6 +24,9 @@ from asimov_gym.physics import Reading
 from asimov_gym.robot.joints import joint_index
 
 GantryMode = Literal["auto", "hold", "off"]
+HandSetting = Literal["hoist", "lower", "slack", "off", "auto"]
+
+_Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -77,8 +82,8 @@ class Gantry:
     def __init__(self, model: mujoco.MjModel, config: GantryConfig) -> None:
         self.config = config
         body = model.body(self.BODY)
-        self._torso = body.pos.copy()
-        self._mass_centre = body.ipos.copy()
+        self._torso: _Vector = tuple(body.pos.tolist())
+        self._mass_centre: _Vector = tuple(body.ipos.tolist())
         self._waist = joint_index("waist_yaw_joint")
         self._weight = -float(model.opt.gravity[2] * model.body_subtreemass[0])
         data = mujoco.MjData(model)
@@ -86,8 +91,11 @@ class Gantry:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         offset = float(data.subtree_com[0][0] - data.body(self.BODY).xpos[0])
-        self._point = np.array([offset, 0.0, config.height])
+        self._point: _Vector = (offset, 0.0, config.height)
         self._stand_height = float(data.body(self.BODY).xpos[2]) + config.height
+        self.setting: GantryMode | HandSetting = config.mode
+        """What the winch obeys: the configured mode, or the last setting `by_hand`."""
+        self._retie = False
         self.taut_height = self._goal(State.DAMP, 0.0)
         """Height of the torso point at which the rope becomes taut, m."""
         self.force = 0.0
@@ -97,6 +105,20 @@ class Gantry:
     def hang_lift(self) -> float:
         """How much higher than standing the pelvis is when the robot hangs, m; 0 without a rope."""
         return 0.0 if self.config.mode == "off" else self.config.clearance
+
+    def by_hand(self, setting: HandSetting) -> None:
+        """Work the winch by hand, in whatever state the robot is; `auto` gives it back to the mode machine.
+
+        `hoist` lifts the robot off its feet, `lower` puts it on its feet with the rope just slack, `slack` gives the
+        rope all the slack of MOVE, `off` unties it at once. The winch keeps its speeds.
+
+        Raises:
+            ValueError: an unknown setting.
+        """
+        if setting not in get_args(HandSetting):
+            raise ValueError(f"gantry by hand must be one of {', '.join(get_args(HandSetting))}, got {setting!r}")
+        self._retie |= self.setting == "off" and setting != "off"
+        self.setting = setting
 
     def rehang(self) -> None:
         """Wind the rope to hanging height at once."""
@@ -115,63 +137,97 @@ class Gantry:
         Returns:
             Force and torque on the torso at its centre of mass, world frame, (1, 6) by body name; None when slack.
         """
-        self.force = 0.0 if self.config.mode == "off" else self._pull(self._goal(state, ramp), reading, dt)
-        if self.force == 0.0:
+        if self.setting == "off":
+            self.force = 0.0
             return None
-        rotation = _rotation(reading.base_quat[0]) @ _yaw(reading.joint_position[0, self._waist])
-        velocity = self._velocity(reading)
-        share = min(1.0, self.force / self._weight)
-        drag = -share * self.config.trolley_drag * velocity[:2]
-        force = np.array([drag[0], drag[1], self.force])
-        torque = np.cross(rotation @ (self._point - self._mass_centre), force)
-        torque[2] -= share * self.config.yaw_drag * self._turning(reading)
-        return {self.BODY: np.concatenate([force, torque])[None]}
+        arm = self._arm(reading)
+        height = float(reading.base_position[0, 2]) + arm[2]
+        if self._retie:  # a rope that is tied again starts without slack and without pull
+            self._retie, self.taut_height = False, height
+        self._wind(self._goal(state, ramp), dt)
+        stretch = self.taut_height - height
+        if stretch <= 0.0:
+            self.force = 0.0
+            return None
+        return self._pull(stretch, arm, reading)
 
     def _goal(self, state: State, ramp: float) -> float:
-        """Taut height that the winch runs to in a state of the machine."""
-        if self.config.mode == "hold" or state is State.DAMP:
-            return self._stand_height + self.config.clearance + self._weight / max(self.config.stiffness, 1.0)
-        if state is not State.STAND:
-            return self._stand_height - self.config.move_slack
+        """Taut height that the winch runs to: by hand, or in a state of the machine."""
+        hanging = self._stand_height + self.config.clearance + self._weight / max(self.config.stiffness, 1.0)
         lowered = self._stand_height - self.config.stand_slack
+        slack = self._stand_height - self.config.move_slack
+        match self.setting:
+            case "hold" | "hoist":
+                return hanging
+            case "lower":
+                return lowered
+            case "slack":
+                return slack
+        if state is State.DAMP:
+            return hanging
+        if state is not State.STAND:
+            return slack
         return lowered if ramp >= self.config.lower_from else max(lowered, self.taut_height)
 
-    def _pull(self, goal: float, reading: Reading, dt: float) -> float:
-        """Run the winch towards `goal` for `dt` and return the tension, N."""
-        speed = self.config.loaded_speed if self.force > 0.0 else self.config.slack_speed
-        travel = goal - self.taut_height
-        self.taut_height += float(np.clip(travel, -speed * dt, speed * dt))
-        stretch = self.taut_height - self._height(reading)
-        if stretch <= 0.0:
-            return 0.0
-        return max(0.0, self.config.stiffness * stretch - self.config.damping * float(self._velocity(reading)[2]))
+    def _wind(self, goal: float, dt: float) -> None:
+        """Run the winch towards `goal` for `dt`."""
+        reach = dt * (self.config.loaded_speed if self.force > 0.0 else self.config.slack_speed)
+        self.taut_height += max(-reach, min(reach, goal - self.taut_height))
 
-    def _arm(self, reading: Reading) -> np.ndarray:
-        """From the pelvis origin to the rope's point, world frame."""
-        local = self._torso + _yaw(reading.joint_position[0, self._waist]) @ self._point
-        return _rotation(reading.base_quat[0]) @ local
+    def _pull(self, stretch: float, arm: _Vector, reading: Reading) -> dict[str, np.ndarray] | None:
+        """The pull of a rope stretched by so many metres; sets `force`."""
+        rotation = _rotation(reading.base_quat[0])
+        gyro = reading.gyro[0].tolist()
+        spin = _turn(rotation, gyro)
+        velocity = [a + b for a, b in zip(reading.base_velocity[0].tolist(), _cross(spin, arm), strict=True)]
+        self.force = max(0.0, self.config.stiffness * stretch - self.config.damping * velocity[2])
+        if self.force == 0.0:
+            return None
+        share = min(1.0, self.force / self._weight)
+        drag = -share * self.config.trolley_drag
+        force = (drag * velocity[0], drag * velocity[1], self.force)
+        cos, sin = self._waist_turn(reading)
+        x, z = self._point[0] - self._mass_centre[0], self._point[2] - self._mass_centre[2]
+        y = self._point[1] - self._mass_centre[1]
+        lever = _turn(rotation, (cos * x - sin * y, sin * x + cos * y, z))
+        torque = _cross(lever, force)
+        turning = spin[2] + float(reading.joint_velocity[0, self._waist])
+        yaw = torque[2] - share * self.config.yaw_drag * turning
+        return {self.BODY: np.array([[*force, torque[0], torque[1], yaw]])}
 
-    def _height(self, reading: Reading) -> float:
-        return float(reading.base_position[0, 2] + self._arm(reading)[2])
+    def _waist_turn(self, reading: Reading) -> tuple[float, float]:
+        """Cosine and sine of the waist's angle."""
+        angle = float(reading.joint_position[0, self._waist])
+        return math.cos(angle), math.sin(angle)
 
-    def _velocity(self, reading: Reading) -> np.ndarray:
-        """Velocity of the rope's point, world frame. The waist's own turning moves it by millimetres and is left
-        out."""
-        spin = _rotation(reading.base_quat[0]) @ reading.gyro[0]
-        return reading.base_velocity[0] + np.cross(spin, self._arm(reading))
-
-    def _turning(self, reading: Reading) -> float:
-        """Yaw rate of the torso about the world's z axis, rad/s."""
-        return float((_rotation(reading.base_quat[0]) @ reading.gyro[0])[2] + reading.joint_velocity[0, self._waist])
-
-
-def _rotation(quat: np.ndarray) -> np.ndarray:
-    """Rotation matrix, body to world, of a unit quaternion (w, x, y, z)."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quat)
-    return matrix.reshape(3, 3)
+    def _arm(self, reading: Reading) -> _Vector:
+        """From the pelvis origin to the rope's point, world frame, m. The velocity of that point leaves out the waist's
+        own turning, which moves it by millimetres."""
+        cos, sin = self._waist_turn(reading)
+        x, y, z = self._point
+        tx, ty, tz = self._torso
+        return _turn(_rotation(reading.base_quat[0]), (tx + cos * x - sin * y, ty + sin * x + cos * y, tz + z))
 
 
-def _yaw(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+# Vectors of three are plain floats here: for a handful of numbers, 200 times a second, NumPy's calls cost more than all
+# of the gantry's arithmetic.
+
+
+def _rotation(quat: np.ndarray) -> tuple[_Vector, _Vector, _Vector]:
+    """Rotation matrix by rows, body to world, of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quat.tolist()
+    return (
+        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
+        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
+        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
+    )
+
+
+def _turn(rotation: tuple[_Vector, _Vector, _Vector], v: Sequence[float]) -> _Vector:
+    x, y, z = v
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> _Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

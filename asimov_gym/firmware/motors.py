@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asimov_gym.robot.joints import JOINTS
-from asimov_gym.robot.motor import HeatModel, heat, motor_current
+from asimov_gym.robot.motor import KT, HeatModel, heat, motor_current
 
 
 @dataclass(frozen=True)
@@ -34,18 +34,23 @@ class Motors:
     def __init__(self, config: MotorConfig, seed: int) -> None:
         self.config = config
         self.temperature = np.full(len(JOINTS), config.heat.ambient_c)
-        """Degrees Celsius, (25,). May be written, to heat a motor in a rehearsal."""
+        """Degrees Celsius, (25,). May be written, to heat a motor in a rehearsal; `FaultInjector.heat` does."""
         self.current = np.zeros(len(JOINTS))
         """Last reading, A, (25,)."""
         self._random = np.random.default_rng(seed)
 
-    def step(self, torque: np.ndarray, dt: float) -> None:
+    def step(self, torque: np.ndarray, dt: float, leak: np.ndarray | None = None) -> None:
         """Take the motors' torques over a step.
 
         Args:
             torque: at the motors' output shafts, N·m, (25,), firmware order.
             dt: s.
+            leak: current beside the one that makes torque, A, (25,): it heats as well.
         """
-        noise = self.config.current_noise_a
-        self.current = motor_current(torque) + (self._random.normal(0.0, noise, torque.shape) if noise else 0.0)
+        current = motor_current(torque)
+        if leak is not None:
+            current = current + leak
+            torque = current * KT
         self.temperature = heat(self.temperature, torque, dt, self.config.heat)
+        noise = self.config.current_noise_a
+        self.current = current + noise * self._random.standard_normal(len(JOINTS)) if noise else current

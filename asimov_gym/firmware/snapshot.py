@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from asimov_gym.firmware.alerts import Alert
+from asimov_gym.firmware.battery import BatteryState
+from asimov_gym.firmware.can_bus import BusCounters, BusLosses, counters
+from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.firmware.modes import Mode, State
+from asimov_gym.firmware.policy_control import InferenceTime
+from asimov_gym.firmware.watchdog import CycleTime
 
 
 @dataclass(frozen=True)
@@ -17,21 +23,23 @@ class FirmwareState:
 
     boot: int
     """Which run of the firmware this is, counted from 1; a restart adds one."""
+    epoch: int
+    """Identity of this run, random, above 0 and below 2^63. With a `StepClock` it follows from seed and boot."""
+    tick: int
+    """Control steps since this boot."""
     timestamp_us: int
     """Firmware clock: microseconds since this boot."""
     state: State
+    e_stop: bool
+    """Whether the E-stop is pressed."""
     joint_position: np.ndarray
-    """rad."""
+    """As sensed, rad."""
     joint_velocity: np.ndarray
-    """rad/s."""
+    """As sensed, rad/s."""
     joint_torque: np.ndarray
-    """N·m."""
-    motor_position: np.ndarray
-    """rad."""
-    motor_velocity: np.ndarray
-    """rad/s."""
+    """Of the drives, N·m; not a reading of the robot's."""
     motor_torque: np.ndarray
-    """N·m."""
+    """Of the drives, N·m; not a reading of the robot's."""
     motor_current: np.ndarray
     """A."""
     motor_temperature: np.ndarray
@@ -49,6 +57,13 @@ class FirmwareState:
     """The command that the policy walks by, after its own clamp: vx, vy (m/s), yaw rate (rad/s), (3,)."""
     gantry_force: float
     """Tension of the gantry's rope, N; exactly 0 while it is slack."""
+    battery: BatteryState
+    cycle: CycleTime
+    """Timing of the control steps."""
+    inference: InferenceTime
+    """Timing of the network; all zero without one."""
+    bus_losses: tuple[BusLosses, ...] = field(repr=False)
+    linkage: Linkage = field(repr=False)
 
     @property
     def mode(self) -> Mode:
@@ -58,3 +73,20 @@ class FirmwareState:
     def latched(self) -> bool:
         """Whether a critical alert holds the robot in DAMP."""
         return bool(self.error_flags & 1)
+
+    # What only telemetry needs is worked out when it asks.
+
+    @cached_property
+    def motor_position(self) -> np.ndarray:
+        """As sensed, rad."""
+        return self.linkage.motor_position(self.joint_position)
+
+    @cached_property
+    def motor_velocity(self) -> np.ndarray:
+        """As sensed, rad/s."""
+        return self.linkage.motor_velocity(self.joint_velocity, self.joint_position)
+
+    @cached_property
+    def can(self) -> tuple[BusCounters, ...]:
+        """Counters of the buses since this boot, in the order of `can_bus.BUSES`."""
+        return counters(self.tick, self.bus_losses)

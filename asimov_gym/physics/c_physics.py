@@ -14,9 +14,9 @@ import numpy as np
 from mujoco import rollout
 
 from asimov_gym.physics.parameters import BodyParameters, ModelFigures
+from asimov_gym.physics.places import JointPlaces, SensorPlaces, as_places
 from asimov_gym.physics.profile import PhysicsProfile, physics_profile
-from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading
-from asimov_gym.robot.frames import projected_gravity
+from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading, is_sound
 from asimov_gym.robot.joints import JOINT_NAMES
 from asimov_gym.robot.model import robot_spec
 
@@ -25,8 +25,6 @@ _log = logging.getLogger(__name__)
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
 _WRENCH = mujoco.mjtState.mjSTATE_XFRC_APPLIED
-_SPEED_LIMIT = 200.0
-"""Generalised speeds beyond this (m/s, rad/s) count as a diverged simulation."""
 
 
 class CPhysics:
@@ -67,19 +65,22 @@ class CPhysics:
         """Copies that diverged in the last step."""
         self._dump_dir = dump_dir
         self._models: list[mujoco.MjModel] | None = None
-        self._qpos_places, self._qvel_places = _joint_places(self.model)
-        self._sensors = _SensorPlaces(self.model)
-        self._loads = np.array([self.model.actuator(n.removesuffix("_joint") + "_load").id for n in JOINT_NAMES])
+        self._joints, self._sensors = JointPlaces(self.model), SensorPlaces(self.model)
+        loads = [self.model.actuator(n.removesuffix("_joint") + "_load").id for n in JOINT_NAMES]
+        self._loads = as_places(np.array(loads))
         pool = min(threads or os.cpu_count() or 1, copies)
         self._datas = [mujoco.MjData(self.model) for _ in range(pool)]
         self._rollout = rollout.Rollout(nthread=pool if pool > 1 else 0)
         self._standing_sensors = self._sensors_of(*self.standing())
         n, m = copies, self.model
-        self._state = PhysicsState(
-            np.zeros(n), np.zeros((n, m.nq)), np.zeros((n, m.nv)), np.zeros((n, m.nv)), np.zeros((n, m.nsensordata))
-        )
-        self._expected_time = np.zeros(n)
-        self._buffers: dict[tuple[int, int], tuple[np.ndarray, ...]] = {}
+        # The engine's rows of time, positions and velocities: a step starts from the row in which the last one ended.
+        self._rows = np.zeros((n, mujoco.mj_stateSize(m, int(_FULL))))
+        self._qpos, self._qvel = slice(1, 1 + m.nq), slice(1 + m.nq, 1 + m.nq + m.nv)
+        self._warmstart, self._sensed = np.zeros((n, m.nv)), np.zeros((n, m.nsensordata))
+        self._reading: Reading | None = None
+        self._due = np.zeros(n)
+        """Simulated time that a sound copy has passed, s."""
+        self._controls: dict[tuple[int, int], np.ndarray] = {}
         if parameters is not None:
             self.set_parameters(parameters)
         self.reset(*self.standing())
@@ -98,7 +99,7 @@ class CPhysics:
     def configuration(self, joint_position: np.ndarray, base_position: np.ndarray, base_quat: np.ndarray) -> np.ndarray:
         """Generalised positions (n, nq) from joint order (n, 25), pelvis position (n, 3) and orientation (n, 4)."""
         qpos = np.broadcast_to(self.standing()[0], (len(joint_position), self.model.nq)).copy()
-        qpos[:, 0:3], qpos[:, 3:7], qpos[:, self._qpos_places] = base_position, base_quat, joint_position
+        qpos[:, 0:3], qpos[:, 3:7], qpos[:, self._joints.position] = base_position, base_quat, joint_position
         return qpos
 
     def reset(self, qpos: np.ndarray, qvel: np.ndarray, copies: np.ndarray | None = None) -> None:
@@ -112,25 +113,37 @@ class CPhysics:
         if not (np.isfinite(qpos).all() and np.isfinite(qvel).all()):
             raise ValueError("reset state must be finite: qpos or qvel holds NaN or infinity")
         where = slice(None) if copies is None else copies
-        s = self._state
-        s.time[where], s.qpos[where], s.qvel[where] = 0.0, qpos, qvel
+        s = self._writable()
+        self._rows[where] = 0.0
+        s.qpos[where], s.qvel[where] = qpos, qvel
         s.warmstart[where], s.sensors[where] = 0.0, self._standing_sensors
 
     def state(self) -> PhysicsState:
         """A copy of the whole state."""
-        s = self._state
-        return PhysicsState(s.time.copy(), s.qpos.copy(), s.qvel.copy(), s.warmstart.copy(), s.sensors.copy())
+        return PhysicsState(**{name: array.copy() for name, array in vars(self._view()).items()})
 
     def set_state(self, state: PhysicsState) -> None:
         """Continue from a state taken with `state()` of a batch of the same size and model."""
-        if state.qpos.shape != self._state.qpos.shape:
-            raise ValueError(f"state.qpos has shape {state.qpos.shape}, this batch needs {self._state.qpos.shape}")
-        for name in ("time", "qpos", "qvel", "warmstart", "sensors"):
-            getattr(self._state, name)[...] = getattr(state, name)
+        needed = (self.copies, self.model.nq)
+        if state.qpos.shape != needed:
+            raise ValueError(f"state.qpos has shape {state.qpos.shape}, this batch needs {needed}")
+        for name, array in vars(self._writable()).items():
+            array[...] = getattr(state, name)
 
     def kick(self, velocity: np.ndarray, copies: np.ndarray | None = None) -> None:
         """Add to the pelvis velocity, (n, 6): linear in the world frame (m/s), angular in the body frame (rad/s)."""
-        self._state.qvel[slice(None) if copies is None else copies, 0:6] += velocity
+        self._writable().qvel[slice(None) if copies is None else copies, 0:6] += velocity
+
+    def _view(self) -> PhysicsState:
+        """The present state, not copied."""
+        rows = self._rows
+        return PhysicsState(rows[:, 0], rows[:, self._qpos], rows[:, self._qvel], self._warmstart, self._sensed)
+
+    def _writable(self) -> PhysicsState:
+        """The present state to be changed in place, in new arrays: earlier readings look at the old ones."""
+        self._rows, self._warmstart, self._sensed = self._rows.copy(), self._warmstart.copy(), self._sensed.copy()
+        self._reading = None
+        return self._view()
 
     def set_parameters(self, parameters: BodyParameters, copies: np.ndarray | None = None) -> None:
         """Give copies their own body figures. The arrays have one row per copy of the whole batch."""
@@ -153,48 +166,54 @@ class CPhysics:
         Raises:
             ValueError: a wrong shape, a value that is not finite, or an unknown body.
         """
-        position = self._rows("position", target.position, substeps)
-        load = None if target.load is None else self._rows("load", target.load, substeps)
-        velocity = None if target.velocity is None else self._rows("velocity", target.velocity, substeps)
-        kp = None if target.kp is None else self._rows("kp", target.kp, substeps)
-        kd = None if target.kd is None else self._rows("kd", target.kd, substeps)
+        position = self._per_substep("position", target.position, substeps)
+        load = None if target.load is None else self._per_substep("load", target.load, substeps)
+        velocity = None if target.velocity is None else self._per_substep("velocity", target.velocity, substeps)
+        kp = None if target.kp is None else self._per_substep("kp", target.kp, substeps)
+        kd = None if target.kd is None else self._per_substep("kd", target.kd, substeps)
         forces = None if wrench is None else self._wrench(wrench)
         before = self.state() if self._dump_dir is not None else None
 
         if kp is None and kd is None:
             damping = self._damping() if velocity is not None else None
-            self._advance(position, _feed_forward(load, velocity, damping), forces)
+            self._advance(substeps, position, _feed_forward(load, velocity, damping), forces)
         else:
-            self._advance_with_gains(position, velocity, load, kp, kd, forces)
+            self._advance_with_gains(substeps, position, velocity, load, kp, kd, forces)
         self._contain_divergence(before, target, substeps)
         return self.read()
 
     def read(self) -> Reading:
-        """The present reading."""
-        s, places = self._state, self._sensors
-        quat = s.qpos[:, 3:7]
-        return Reading(
-            base_position=s.qpos[:, 0:3].copy(),
-            base_quat=quat.copy(),
-            base_velocity=s.qvel[:, 0:3].copy(),
-            gyro=s.qvel[:, 3:6].copy(),
-            gravity=projected_gravity(quat),
-            joint_position=s.qpos[:, self._qpos_places],
-            joint_velocity=s.qvel[:, self._qvel_places],
-            joint_torque=s.sensors[:, places.torque],
-            foot_position=s.sensors[:, places.foot_position],
-            foot_velocity=s.sensors[:, places.foot_velocity],
-            foot_up=s.sensors[:, places.foot_up],
-            foot_force=s.sensors[:, places.foot_force],
-        )
+        """The present reading. Its arrays are read-only, and the same ones until the state changes."""
+        if self._reading is None:
+            self._reading = self._assemble()
+        return self._reading
 
-    def _advance(self, position: np.ndarray, load: np.ndarray | None, forces: np.ndarray | None) -> None:
-        """Step with the gains that the models hold. `position`, `load`: (N, S, 25); `forces`: (N, 6 nbody)."""
-        n, substeps = position.shape[:2]
-        m, s = self.model, self._state
+    def _assemble(self) -> Reading:
+        self._rows.flags.writeable = self._sensed.flags.writeable = False
+        qpos, qvel, sensors, places = self._rows[:, self._qpos], self._rows[:, self._qvel], self._sensed, self._sensors
+        feet = (self.copies, 2, 3)
+        reading = Reading.assemble(
+            qpos,
+            qvel,
+            self._joints,
+            joint_torque=sensors[:, places.torque],
+            foot_position=sensors[:, places.foot_position].reshape(feet),
+            foot_velocity=sensors[:, places.foot_velocity].reshape(feet),
+            foot_up=sensors[:, places.foot_up].reshape(feet),
+            foot_force=sensors[:, places.foot_force].reshape(feet),
+        )
+        for gathered in (reading.gravity, reading.joint_position, reading.joint_velocity):
+            gathered.flags.writeable = False  # the others look at the state, which is read-only
+        return reading
+
+    def _advance(self, substeps: int, position: np.ndarray, load: np.ndarray | None, forces: np.ndarray | None) -> None:
+        """Step with the gains that the models hold. `position`, `load`: (N, S or 1, 25); `forces`: (N, 6 nbody)."""
+        n, m, start = self.copies, self.model, self._rows
         width = m.nu + (0 if forces is None else 6 * m.nbody)
-        initial, control, states, sensors = self._buffer(substeps, width)
-        initial[:, 0], initial[:, 1 : 1 + m.nq], initial[:, 1 + m.nq : 1 + m.nq + m.nv] = s.time, s.qpos, s.qvel
+        control = self._controls.get((substeps, width))
+        if control is None:
+            control = self._controls[substeps, width] = np.zeros((n, substeps, width))
+        rows, sensed = np.empty((n, substeps, start.shape[1])), np.empty((n, substeps, m.nsensordata))
         control[:, :, self.figures.servos] = position
         control[:, :, self._loads] = 0.0 if load is None else load
         spec = int(_CTRL)
@@ -204,27 +223,25 @@ class CPhysics:
         self._rollout.rollout(
             [self.model] * n if self._models is None else self._models,
             self._datas,
-            initial,
+            start,
             control,
             control_spec=spec,
             skip_checks=True,
             nstep=substeps,
-            initial_warmstart=s.warmstart,
-            state=states,
-            sensordata=sensors,
+            initial_warmstart=self._warmstart,
+            state=rows,
+            sensordata=sensed,
         )
-        before = s.qvel.copy() if substeps == 1 else states[:, -2, 1 + m.nq : 1 + m.nq + m.nv]
-        s.time[:] = states[:, -1, 0]
-        s.qpos[:] = states[:, -1, 1 : 1 + m.nq]
-        s.qvel[:] = states[:, -1, 1 + m.nq : 1 + m.nq + m.nv]
+        before = start if substeps == 1 else rows[:, -2]
+        self._rows, self._sensed = np.ascontiguousarray(rows[:, -1]), np.ascontiguousarray(sensed[:, -1])
         # The engine does not hand back its solver state; the last acceleration is as good a start for the next step.
-        np.subtract(s.qvel, before, out=s.warmstart)
-        np.divide(s.warmstart, self.timestep, out=s.warmstart)
-        s.sensors[:] = sensors[:, -1]
-        self._expected_time = initial[:, 0] + substeps * self.timestep
+        self._warmstart = (self._rows[:, self._qvel] - before[:, self._qvel]) / self.timestep
+        self._due = start[:, 0] + (substeps - 0.5) * self.timestep
+        self._reading = None
 
     def _advance_with_gains(
         self,
+        substeps: int,
         position: np.ndarray,
         velocity: np.ndarray | None,
         load: np.ndarray | None,
@@ -234,21 +251,21 @@ class CPhysics:
     ) -> None:
         """Step with explicit gains: the models' gains are lent for the call, substep by substep if they change."""
         models = [self.model] if self._models is None and self.copies == 1 else self._own_models()
-        own = [(m.actuator_gainprm[self.figures.servos, 0].copy(), self._servo_damping(m)) for m in models]
-        gains = [a for a in (kp, kd) if a is not None]
-        constant = all((a == a[:, :1]).all() for a in gains)
-        runs = [slice(None)] if constant else [slice(k, k + 1) for k in range(position.shape[1])]
+        own = [self.figures.gains(model) for model in models]
+        constant = all(a is None or a.shape[1] == 1 or (a == a[:, :1]).all() for a in (kp, kd))
+        runs = [slice(None)] if constant else [slice(k, k + 1) for k in range(substeps)]
         try:
             for run in runs:
                 damping = np.empty((self.copies, 1, len(JOINT_NAMES)))
+                run_kp, run_kd = _part(kp, run), _part(kd, run)
                 for i, model in enumerate(models):
-                    row_kp = own[i][0] if kp is None else kp[i, run][0]
-                    row_kd = own[i][1] if kd is None else kd[i, run][0]
+                    row_kp = own[i][0] if run_kp is None else run_kp[i, 0]
+                    row_kd = own[i][1] if run_kd is None else run_kd[i, 0]
                     self.figures.write_gains(model, row_kp, row_kd)
                     damping[i, 0] = row_kd
-                part_velocity = None if velocity is None else velocity[:, run]
-                feed = _feed_forward(None if load is None else load[:, run], part_velocity, damping)
-                self._advance(position[:, run], feed, forces)
+                feed = _feed_forward(_part(load, run), _part(velocity, run), damping)
+                run_position = position if position.shape[1] == 1 else position[:, run]
+                self._advance(substeps if constant else 1, run_position, feed, forces)
         finally:
             for model, (model_kp, model_kd) in zip(models, own, strict=True):
                 self.figures.write_gains(model, model_kp, model_kd)
@@ -258,21 +275,17 @@ class CPhysics:
             self._models = [copy.copy(self.model) for _ in range(self.copies)]
         return self._models
 
-    def _servo_damping(self, model: mujoco.MjModel) -> np.ndarray:
-        return -model.actuator_biasprm[self.figures.servos, 2]
-
     def _damping(self) -> np.ndarray:
-        """Damping gains of every copy, (N, 1, 25)."""
-        if self._models is None:
-            return np.broadcast_to(self._servo_damping(self.model), (self.copies, 1, len(JOINT_NAMES)))
-        return np.stack([self._servo_damping(model) for model in self._models])[:, None]
+        """Damping gains of every copy, (N or 1, 1, 25)."""
+        models = [self.model] if self._models is None else self._models
+        return np.stack([self.figures.gains(model)[1] for model in models])[:, None]
 
     def _contain_divergence(self, before: PhysicsState | None, target: JointTarget, substeps: int) -> None:
         """Reset copies whose simulation blew up. The engine freezes such a copy, so its clock is behind."""
-        s = self._state
-        late = s.time < self._expected_time - 0.5 * self.timestep
-        self.diverged = late | ~np.isfinite(s.qpos).all(axis=1) | ~(np.abs(s.qvel).max(axis=1) < _SPEED_LIMIT)
-        if not self.diverged.any():
+        rows = self._rows
+        sound = is_sound(rows[:, self._qpos], rows[:, self._qvel]) & (rows[:, 0] > self._due)
+        self.diverged = ~sound
+        if sound.all():
             return
         bad = np.flatnonzero(self.diverged)
         self.divergences += len(bad)
@@ -289,15 +302,15 @@ class CPhysics:
 
     # -- checks and buffers --------------------------------------------------------------------------------------------
 
-    def _rows(self, name: str, value: np.ndarray, substeps: int) -> np.ndarray:
-        """Check a target array and give it one row per substep, (N, S, 25)."""
+    def _per_substep(self, name: str, value: np.ndarray, substeps: int) -> np.ndarray:
+        """Check a target array and give it an axis of substeps, (N, S, 25), or (N, 1, 25) where it holds for all."""
         if substeps < 1:
             raise ValueError(f"substeps must be at least 1, got {substeps}")
         array = np.asarray(value, dtype=np.float64)
         flat, full = (self.copies, len(JOINT_NAMES)), (self.copies, substeps, len(JOINT_NAMES))
         if array.shape == flat:
-            array = np.broadcast_to(array[:, None, :], full)
-        if array.shape != full:
+            array = array[:, None, :]
+        elif array.shape != full:
             raise ValueError(f"JointTarget.{name} has shape {array.shape}, allowed are {flat} and {full}")
         if not np.isfinite(array).all():
             copy_, _, joint = np.argwhere(~np.isfinite(array))[0]
@@ -316,15 +329,6 @@ class CPhysics:
                 raise ValueError(f"wrench[{name!r}] must be finite with shape {(self.copies, 6)}, got {array.shape}")
             forces[:, body] = array
         return forces.reshape(self.copies, -1)
-
-    def _buffer(self, substeps: int, width: int) -> tuple[np.ndarray, ...]:
-        key = (substeps, width)
-        if key not in self._buffers:
-            n, m = self.copies, self.model
-            nstate = mujoco.mj_stateSize(m, int(_FULL))
-            shapes = ((n, nstate), (n, substeps, width), (n, substeps, nstate), (n, substeps, m.nsensordata))
-            self._buffers[key] = tuple(np.zeros(shape) for shape in shapes)
-        return self._buffers[key]
 
     def _sensors_of(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         data = self._datas[0]
@@ -345,6 +349,11 @@ def compile_model(profile: str | PhysicsProfile = "evaluation", visuals: bool = 
     return spec.compile()
 
 
+def _part(rows: np.ndarray | None, run: slice) -> np.ndarray | None:
+    """Rows (N, S or 1, 25) of a run of substeps."""
+    return rows if rows is None or rows.shape[1] == 1 else rows[:, run]
+
+
 def _feed_forward(
     load: np.ndarray | None, velocity: np.ndarray | None, damping: np.ndarray | None
 ) -> np.ndarray | None:
@@ -354,23 +363,3 @@ def _feed_forward(
     assert damping is not None
     drive = damping * velocity
     return drive if load is None else drive + load
-
-
-def _joint_places(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    joints = [model.joint(name) for name in JOINT_NAMES]
-    return np.array([j.qposadr[0] for j in joints]), np.array([j.dofadr[0] for j in joints])
-
-
-class _SensorPlaces:
-    """Indices into a row of sensor values."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        def place(name: str) -> np.ndarray:
-            sensor = model.sensor(name)
-            return np.arange(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
-
-        self.torque = np.concatenate([place(name.removesuffix("_joint") + "_torque") for name in JOINT_NAMES])
-        self.foot_position = np.stack([place("left_foot_position"), place("right_foot_position")])
-        self.foot_velocity = np.stack([place("left_foot_velocity"), place("right_foot_velocity")])
-        self.foot_up = np.stack([place("left_foot_up"), place("right_foot_up")])
-        self.foot_force = np.stack([place("left_foot_force"), place("right_foot_force")])

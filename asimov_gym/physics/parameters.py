@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from asimov_gym.physics.places import as_places
 from asimov_gym.robot.joints import JOINT_NAMES, KD, KP
 
 _TORSO = "waist_yaw_link"
@@ -46,19 +48,23 @@ class ModelFigures:
         self.feet = np.array(
             [i for i in range(model.ngeom) if "_foot" in model.geom(i).name or "_toe" in model.geom(i).name]
         )
-        self.servos = np.array([model.actuator(name.removesuffix("_joint")).id for name in JOINT_NAMES])
+        self.servos = as_places(np.array([model.actuator(n.removesuffix("_joint")).id for n in JOINT_NAMES]))
         self.torso = model.body(_TORSO).id
-        self.kp = model.actuator_gainprm[self.servos, 0].copy()
-        self.kd = -model.actuator_biasprm[self.servos, 2].copy()
+        self.kp, self.kd = self.gains(model)
         self.torso_mass = float(model.body_mass[self.torso])
         self.torso_inertia = model.body_inertia[self.torso].copy()
         self.torso_com = model.body_ipos[self.torso].copy()
 
+    def gains(self, model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+        """Position and damping gains of one model's servos, (25,) each."""
+        return model.actuator_gainprm[self.servos, 0].copy(), -model.actuator_biasprm[self.servos, 2]
+
     def write_gains(self, model: mujoco.MjModel, kp: np.ndarray, kd: np.ndarray) -> None:
         """Set the servo gains of one model, (25,) each."""
+        bias = model.actuator_biasprm
         model.actuator_gainprm[self.servos, 0] = kp
-        model.actuator_biasprm[self.servos, 1] = -kp
-        model.actuator_biasprm[self.servos, 2] = -kd
+        bias[self.servos, 1] = -kp
+        bias[self.servos, 2] = -kd
 
     def write(self, model: mujoco.MjModel, parameters: BodyParameters, index: int) -> None:
         """Set the figures of copy `index` in its model."""
@@ -66,12 +72,21 @@ class ModelFigures:
         if p.foot_friction is not None:
             model.geom_friction[self.feet, 0] = p.foot_friction[index]
         if p.kp_scale is not None or p.kd_scale is not None:
-            kp = self.kp if p.kp_scale is None else self.kp * p.kp_scale[index]
-            kd = self.kd if p.kd_scale is None else self.kd * p.kd_scale[index]
-            self.write_gains(model, kp, kd)
+            one = None if p.kp_scale is None else p.kp_scale[index], None if p.kd_scale is None else p.kd_scale[index]
+            self.write_gains(model, *self.scaled_gains(*one))
         if p.torso_mass is not None:
-            mass = self.torso_mass + p.torso_mass[index]
+            mass, inertia = self.laden_torso(p.torso_mass[index])
             model.body_mass[self.torso] = mass
-            model.body_inertia[self.torso] = self.torso_inertia * (mass / self.torso_mass)
+            model.body_inertia[self.torso] = inertia
         if p.torso_com is not None:
             model.body_ipos[self.torso] = self.torso_com + p.torso_com[index]
+
+    def scaled_gains(self, kp_scale: Any | None, kd_scale: Any | None) -> tuple[Any, Any]:
+        """Position and damping gains under factors, (..., 25) each; the model's own where a factor is None."""
+        kp = self.kp if kp_scale is None else self.kp * kp_scale
+        return kp, self.kd if kd_scale is None else self.kd * kd_scale
+
+    def laden_torso(self, added: Any) -> tuple[Any, Any]:
+        """Mass of the torso with a mass added at its centre of mass, kg, and its principal inertias, (3,), kg·m²."""
+        mass = self.torso_mass + added
+        return mass, self.torso_inertia * (mass / self.torso_mass)

@@ -8,6 +8,20 @@ from typing import Any
 import numpy as np
 from array_api_compat import array_namespace
 
+from asimov_gym.physics.places import JointPlaces
+from asimov_gym.robot.array_library import namespace
+from asimov_gym.robot.frames import projected_gravity
+
+SPEED_LIMIT = 200.0
+"""Generalised speeds beyond this (m/s, rad/s) count as a diverged simulation."""
+
+
+def is_sound(qpos: Any, qvel: Any) -> Any:
+    """Copies whose simulation has not diverged, (N,) bool, from positions (N, nq) and velocities (N, nv)."""
+    xp = namespace(qpos)
+    slow = xp.max(xp.abs(qvel), axis=1) < SPEED_LIMIT  # false also where a speed is not a number
+    return slow & xp.all(xp.isfinite(qpos), axis=1)
+
 
 @dataclass(frozen=True)
 class JointTarget:
@@ -77,6 +91,36 @@ class Reading:
     """The soles' upward direction, world unit vectors, (N, 2, 3)."""
     foot_force: Any
     """Net force of the ground on each foot, world, N, (N, 2, 3)."""
+
+    @classmethod
+    def assemble(
+        cls,
+        qpos: Any,
+        qvel: Any,
+        joints: JointPlaces,
+        *,
+        joint_torque: Any,
+        foot_position: Any,
+        foot_velocity: Any,
+        foot_up: Any,
+        foot_force: Any,
+    ) -> Reading:
+        """The reading of generalised positions (N, nq), velocities (N, nv) and what sensors say."""
+        quat = qpos[:, 3:7]
+        return cls(
+            base_position=qpos[:, 0:3],
+            base_quat=quat,
+            base_velocity=qvel[:, 0:3],
+            gyro=qvel[:, 3:6],
+            gravity=projected_gravity(quat),
+            joint_position=qpos[:, joints.position],
+            joint_velocity=qvel[:, joints.velocity],
+            joint_torque=joint_torque,
+            foot_position=foot_position,
+            foot_velocity=foot_velocity,
+            foot_up=foot_up,
+            foot_force=foot_force,
+        )
 
     def astype(self, dtype: Any) -> Reading:
         """The same reading in another floating type."""

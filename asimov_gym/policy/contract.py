@@ -11,12 +11,13 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.policy.field_checks import ContractError, json_value, number, numbers, pairs, strings, whole
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.robot.joints import KD, KP, POLICY_JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
 from asimov_gym.robot.observation import POLICY_RATE_HZ, STANDING_THRESHOLD, ObservationLayout, observation_layout
 
@@ -161,6 +162,16 @@ class PolicyContract:
             )
         object.__setattr__(self, "gait_frequency_hz", frequency)
 
+    @cached_property
+    def _default_scale_limits(self) -> np.ndarray:
+        """Rows of default position, scale, lower and upper limit as one array, (4, n): made once, used at 50 Hz."""
+        return np.array([self.default_joint_pos, self.action_scale, *zip(*self.target_limits, strict=True)])
+
+    @cached_property
+    def _command_limits(self) -> np.ndarray:
+        """Rows of lower and upper bounds of the command, (2, 3)."""
+        return np.array(self.command_ranges).T
+
     def to_metadata(self) -> dict[str, str]:
         """The contract as metadata of a policy file: JSON by field name, numbers at full precision."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -196,7 +207,7 @@ def clip_action(contract: PolicyContract, action: Any) -> Any:
     """Network output within its bounds, (..., n)."""
     if contract.action_clip is None:
         return action
-    return array_namespace(action).clip(action, -contract.action_clip, contract.action_clip)
+    return namespace(action).clip(action, -contract.action_clip, contract.action_clip)
 
 
 def targets(contract: PolicyContract, action: Any) -> Any:
@@ -204,18 +215,16 @@ def targets(contract: PolicyContract, action: Any) -> Any:
 
     Works on arrays of any array-API library; the result has the dtype of `action`.
     """
-    xp = array_namespace(action)
-    offset = xp.asarray(contract.default_joint_pos, dtype=action.dtype)
-    scale = xp.asarray(contract.action_scale, dtype=action.dtype)
-    limits = xp.asarray(contract.target_limits, dtype=action.dtype)
-    return xp.clip(offset + scale * clip_action(contract, action), limits[:, 0], limits[:, 1])
+    xp = namespace(action)
+    rows = xp.asarray(contract._default_scale_limits, dtype=action.dtype)
+    return xp.clip(rows[0, ...] + rows[1, ...] * clip_action(contract, action), rows[2, ...], rows[3, ...])
 
 
 def clip_command(contract: PolicyContract, command: Any) -> Any:
     """Velocity command (..., 3) within the range the policy was trained for."""
-    xp = array_namespace(command)
-    ranges = xp.asarray(contract.command_ranges, dtype=command.dtype)
-    return xp.clip(command, ranges[:, 0], ranges[:, 1])
+    xp = namespace(command)
+    limits = xp.asarray(contract._command_limits, dtype=command.dtype)
+    return xp.clip(command, limits[0, ...], limits[1, ...])
 
 
 def default_contract(

@@ -5,25 +5,98 @@ Senses and a velocity command go in, joint targets come out.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from asimov_gym.policy.contract import clip_action, clip_command, targets
+from asimov_gym.policy.contract import PolicyContract, clip_action, clip_command, targets
 from asimov_gym.policy.runner import Policy
 from asimov_gym.robot import gait_clock
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.robot.joints import POLICY_TO_JOINT, STAND_POSITION
 from asimov_gym.robot.observation import observation_layout
+
+_FROM_POLICY = np.zeros(len(STAND_POSITION), dtype=np.intp)
+_FROM_POLICY[POLICY_TO_JOINT] = np.arange(len(POLICY_TO_JOINT))
+_HELD = np.ones(len(STAND_POSITION), dtype=bool)
+_HELD[POLICY_TO_JOINT] = False
 
 
 @dataclass(frozen=True)
 class PolicyState:
     """What a driven policy remembers from step to step, for n robots."""
 
-    action: np.ndarray
+    action: Any
     """Last network output after clipping, policy order, float32, (n, 23)."""
-    phase: np.ndarray
+    phase: Any
     """Gait phase of the left foot, rad, (n,)."""
+
+
+@dataclass(frozen=True)
+class PolicyStep:
+    """A step of a driven policy, for n robots."""
+
+    state: PolicyState
+    """After the step."""
+    command: Any
+    """Within the trained ranges, (n, 3)."""
+    observation: Any
+    """What the network saw, float32, (n, width)."""
+    raw: Any
+    """What it answered, before clipping, (n, 23)."""
+    targets: Any
+    """Joint targets, rad, joint order, (n, 25); the neck stands."""
+
+
+class PolicyLaw:
+    """What a policy does in a step, as a pure function over arrays of any library."""
+
+    def __init__(self, contract: PolicyContract) -> None:
+        """Prepare for a contract.
+
+        Raises:
+            ValueError: its layout is unknown.
+        """
+        self.contract = contract
+        self.layout = observation_layout(contract.observation.layout)
+        # The layout measures positions from the standing pose, a policy from its own default; zero for our policies.
+        self._pose_shift = np.zeros_like(STAND_POSITION)
+        self._pose_shift[POLICY_TO_JOINT] = STAND_POSITION[POLICY_TO_JOINT] - np.array(contract.default_joint_pos)
+
+    def step(
+        self,
+        state: PolicyState,
+        infer: Callable[[Any], Any],
+        *,
+        gyro: Any,
+        gravity: Any,
+        command: Any,
+        joint_position: Any,
+        joint_velocity: Any,
+    ) -> PolicyStep:
+        """One policy step; the arguments are those of `PolicyDriver.step`, and the network as a function."""
+        xp, contract = namespace(joint_position), self.contract
+        within = clip_command(contract, command)
+        moving = gait_clock.is_moving(within, contract.standing_threshold)
+        observation = self.layout.observe(
+            gyro=gyro,
+            gravity=gravity,
+            command=within,
+            joint_position=joint_position + xp.asarray(self._pose_shift, dtype=joint_position.dtype),
+            joint_velocity=joint_velocity,
+            action=state.action,
+            clock=gait_clock.signal(state.phase, moving),
+        )
+        raw = infer(observation)
+        action, phase = clip_action(contract, raw), state.phase
+        if contract.gait_frequency_hz is not None:
+            phase = gait_clock.advance(phase, moving, contract.gait_frequency_hz, 1.0 / contract.policy_rate_hz)
+        driven = targets(contract, xp.astype(action, joint_position.dtype))
+        stand = xp.asarray(STAND_POSITION, dtype=joint_position.dtype)
+        joint_targets = xp.where(xp.asarray(_HELD), stand, xp.take(driven, xp.asarray(_FROM_POLICY), axis=-1))
+        return PolicyStep(PolicyState(action, phase), within, observation, raw, joint_targets)
 
 
 class PolicyDriver:
@@ -48,16 +121,13 @@ class PolicyDriver:
         self.policy = policy
         self.copies = copies
         self.contract = policy.contract
-        self._layout = observation_layout(self.contract.observation.layout)
-        # The layout measures positions from the standing pose, a policy from its own default; zero for our policies.
-        self._pose_shift = np.zeros_like(STAND_POSITION)
-        self._pose_shift[POLICY_TO_JOINT] = STAND_POSITION[POLICY_TO_JOINT] - np.array(self.contract.default_joint_pos)
+        self._law = PolicyLaw(self.contract)
         actions = len(POLICY_TO_JOINT)
         self._action = np.zeros((copies, actions), dtype=np.float32)
         self._phase = np.zeros(copies)
         self._raw = np.zeros((copies, actions), dtype=np.float32)
         self._command = np.zeros((copies, 3))
-        self._observation = np.zeros((copies, self._layout.width), dtype=np.float32)
+        self._observation = np.zeros((copies, self._law.layout.width), dtype=np.float32)
 
     def reset(self, mask: np.ndarray | None = None, phase: float | np.ndarray = 0.0) -> None:
         """Forget the last action and restart the clock.
@@ -104,25 +174,18 @@ class PolicyDriver:
         gyro, gravity = _shaped("gyro", gyro, (n, 3)), _shaped("gravity", gravity, (n, 3))
         position = _shaped("joint_position", joint_position, (n, len(STAND_POSITION)))
         velocity = _shaped("joint_velocity", joint_velocity, (n, len(STAND_POSITION)))
-        self._command = clip_command(self.contract, _shaped("command", command, (n, 3)))
-        moving = gait_clock.is_moving(self._command, self.contract.standing_threshold)
-        self._observation = self._layout.observe(
+        s = self._law.step(
+            PolicyState(self._action, self._phase),
+            self.policy.infer,
             gyro=gyro,
             gravity=gravity,
-            command=self._command,
-            joint_position=position + self._pose_shift,
+            command=_shaped("command", command, (n, 3)),
+            joint_position=position,
             joint_velocity=velocity,
-            action=self._action,
-            clock=gait_clock.signal(self._phase, moving),
         )
-        self._raw = self.policy.infer(self._observation)
-        self._action = clip_action(self.contract, self._raw)
-        if self.contract.gait_frequency_hz is not None:
-            dt = 1.0 / self.contract.policy_rate_hz
-            self._phase = gait_clock.advance(self._phase, moving, self.contract.gait_frequency_hz, dt)
-        joint_targets = np.tile(STAND_POSITION, (n, 1))
-        joint_targets[:, POLICY_TO_JOINT] = targets(self.contract, self._action.astype(np.float64))
-        return joint_targets
+        self._command, self._observation, self._raw = s.command, s.observation, s.raw
+        self._action, self._phase = s.state.action, s.state.phase
+        return s.targets
 
     @property
     def state(self) -> PolicyState:

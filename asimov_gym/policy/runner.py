@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -36,8 +37,14 @@ class Policy(Protocol):
 class PolicyRunner:
     """A policy network and its contract. Made by `load_policy`."""
 
-    def __init__(self, session: onnxruntime.InferenceSession, contract: PolicyContract) -> None:
+    def __init__(
+        self, session: onnxruntime.InferenceSession, contract: PolicyContract, name: str = "", sha256: str = ""
+    ) -> None:
         self.contract = contract
+        self.name = name
+        """Of its file."""
+        self.sha256 = sha256
+        """Of the file's bytes, hexadecimal: what a recording knows the network by."""
         self._session = session
         self._one_by_one = session.get_inputs()[0].shape[0] == 1
 
@@ -99,7 +106,7 @@ def load_policy(path: str | Path, *, verify: bool = True, strict: bool = False) 
     _check_graph(session, contract, path)
     if verify:
         verify_contract(contract, strict=strict)
-    runner = PolicyRunner(session, contract)
+    runner = PolicyRunner(session, contract, path.name, hashlib.sha256(path.read_bytes()).hexdigest())
     _check_output(runner, path)
     return runner
 

@@ -1,57 +1,76 @@
-"""Writes what passes the edge to an MCAP file, which Foxglove and other viewers open."""
+"""Records what passes the edge, and the log, in an MCAP file, which Foxglove and other viewers open."""
 
 from __future__ import annotations
 
+import atexit
+import logging
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
-from mcap.writer import Writer
-
-from asimov_gym.edge import Client, Edge, Verdict
+from asimov_gym.edge import Client, Code, Edge, EdgeListener, Verdict
 from asimov_gym.edge.wire import recording_pb2
-from asimov_gym.recording.schemas import COMMANDS, STATE, SYSTEM, TOPICS, descriptor_set
+from asimov_gym.firmware import StepClock
+from asimov_gym.recording.log_tap import LogTap
+from asimov_gym.recording.notes import edge_notes
+from asimov_gym.recording.schemas import COMMANDS, LOG, ROBOT_STATE, STATE, SYSTEM
+from asimov_gym.recording.spool import Spool
 
-_NANOSECONDS = 1000
-CHUNK_BYTES = 64 * 1024
-"""Size of the blocks that reach the disk, before compression: about five seconds of a running robot."""
+_log = logging.getLogger(__name__)
+_LOCK_PATIENCE_S = 1.0
 
 
-class Recorder:
-    """Records every command with its verdict, every telemetry frame and every event, until closed.
+class Recorder(EdgeListener):
+    """Records every command with its verdict, every telemetry frame, event and log line, until closed.
 
-    If the process is killed, what came before the last few seconds is in the file, and `read_recording` reads it.
+    Of the log it takes the lines of the logger `asimov_gym` that the logger's level lets through. A robot in real time
+    never waits for the disk; one in lockstep does, when 256 MiB are queued. If the process is killed, all but the last
+    second is in the file, and `read_recording` reads it. If the disk fails, the recording ends, the robot goes on, and
+    the log, an event and `failure` say so.
 
     Args:
-        path: of the file; its folder is made, an existing file is replaced.
+        path: of the file; its folder is made.
         edge: of the robot to record.
-        notes: text entries about the run, kept in the file.
+        notes: text entries about the run, kept in the file beside those of `asimov_gym.recording.notes`.
+        robot_state: whether to have the edge make a `RobotState` for every control step; else those are recorded that
+            it makes for somebody else.
+
+    Raises:
+        FileExistsError: there is such a file. Nothing recorded is ever overwritten.
+        OSError: the file cannot be made.
     """
 
-    def __init__(self, path: str | Path, edge: Edge, notes: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self, path: str | Path, edge: Edge, notes: Mapping[str, str] | None = None, robot_state: bool = False
+    ) -> None:
         self.path = Path(path)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = self.path.open("wb")
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES)
-        self._writer.start(profile="", library="asimov-gym")
-        self._channels: dict[str, int] = {}
-        self._counts: dict[str, int] = {}
-        for topic, message in TOPICS.items():
-            name = message.DESCRIPTOR.full_name
-            schema = self._writer.register_schema(name=name, encoding="protobuf", data=descriptor_set(message))
-            self._channels[topic] = self._writer.register_channel(topic, message_encoding="protobuf", schema_id=schema)
-            self._counts[topic] = 0
-        self._writer.add_metadata("asimov_gym", {"edge_clock": "microseconds since 1970", **(notes or {})})
+        self.wants_robot_state = robot_state
         self._edge = edge
-        edge.attach(self)
+        self._patient = isinstance(edge.clock, StepClock)
+        with edge.lock:
+            self._spool = Spool(self.path, {**edge_notes(edge), **(notes or {})}, self._on_failure)
+            edge.attach(self)
+        self._tap = LogTap(self._on_log, edge.clock.realtime_us)
+        logging.getLogger("asimov_gym").addHandler(self._tap)
+        atexit.register(self.close)
+
+    @property
+    def failure(self) -> str:
+        """Why the recording ended before it was closed; empty if it did not."""
+        return self._spool.failure
+
+    @property
+    def written(self) -> Counter[str]:
+        """Messages handed to the file so far, by topic."""
+        return Counter(self._spool.written)
 
     def close(self) -> None:
         """Stop recording and finish the file. Closing twice does nothing."""
+        atexit.unregister(self.close)
+        logging.getLogger("asimov_gym").removeHandler(self._tap)
         self._edge.detach(self)
-        with self._edge.lock:
-            if not self._file.closed:
-                self._writer.finish()
-                self._file.close()
+        self._spool.close()
 
     def __enter__(self) -> Recorder:
         return self
@@ -72,18 +91,39 @@ class Recorder:
             kind=verdict.kind,
             verdict=str(verdict),
             notes=[note.name for note in verdict.notes],
+            source=client.source.name,
+            dialect="" if verdict.dialect is None else verdict.dialect.value,
+            client_dialects=[dialect.value for dialect in client.dialects],
         )
-        self._write(COMMANDS, received_us, record.SerializeToString())
+        self._put(COMMANDS, received_us, record.SerializeToString())
 
     def on_telemetry(self, timestamp_us: int, packet: bytes) -> None:
         """Record a telemetry frame."""
-        self._write(STATE, timestamp_us, packet)
+        self._put(STATE, timestamp_us, packet)
+
+    def on_robot_state(self, timestamp_us: int, packet: bytes, report: bool) -> None:
+        """Record a frame of the other dialect."""
+        self._put(ROBOT_STATE, timestamp_us, packet)
 
     def on_event(self, timestamp_us: int, packet: bytes) -> None:
         """Record an event."""
-        self._write(SYSTEM, timestamp_us, packet)
+        self._put(SYSTEM, timestamp_us, packet)
 
-    def _write(self, topic: str, time_us: int, data: bytes) -> None:
-        time_ns = time_us * _NANOSECONDS
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns, self._counts[topic])
-        self._counts[topic] = (self._counts[topic] + 1) % 2**32
+    def _put(self, topic: str, time_us: int, data: bytes) -> None:
+        # In lockstep nothing is late while the robot waits for the disk; in real time it must not.
+        self._spool.put(topic, time_us, data, wait=self._patient)
+
+    # -- log and failure ---------------------------------------------------------------------------
+
+    def _on_log(self, time_us: int, data: bytes) -> None:
+        # Never waits: the line may be one of the thread that makes room.
+        self._spool.put(LOG, time_us, data)
+
+    def _on_failure(self, reason: str) -> None:
+        _log.error("recording %s ends: %s; the robot goes on without", self.path, reason)
+        # Not for ever: whoever closes the recorder may hold the lock, and wait for the thread that is here.
+        if self._edge.lock.acquire(timeout=_LOCK_PATIENCE_S):
+            try:
+                self._edge.error(Code.RECORDER, f"the recording ends: {reason}")
+            finally:
+                self._edge.lock.release()

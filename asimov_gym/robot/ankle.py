@@ -25,8 +25,8 @@ import math
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from array_api_compat import array_namespace
 
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.robot.joints import JOINT_NAMES, joint_index
 
 K_PITCH = 2.02
@@ -41,9 +41,17 @@ FORMS: tuple[Form, ...] = ("linear", "exact")
 
 _WIDTH = len(JOINT_NAMES)
 _SIN_TRAVEL = math.sin(MOTOR_TRAVEL)
-_FIRST = np.array([joint_index(f"{side}_ankle_pitch_joint") for side in ("left", "right")])
-"""Places of pitch, and of motor A; the other entry of each pair follows."""
-_SECOND = np.array([joint_index(f"{side}_ankle_roll_joint") for side in ("left", "right")])
+
+
+def _both_feet(axis: str) -> slice:
+    """Places of an ankle axis, left and right. A slice, since an index array costs several times as much."""
+    left, right = joint_index(f"left_ankle_{axis}_joint"), joint_index(f"right_ankle_{axis}_joint")
+    return slice(left, right + 1, right - left)
+
+
+_FIRST = _both_feet("pitch")
+"""Places of pitch, and of motor A."""
+_SECOND = _both_feet("roll")
 """Places of roll, and of motor B."""
 _MERGE = np.arange(_WIDTH)
 _MERGE[_FIRST] = _WIDTH + np.arange(2)
@@ -63,6 +71,9 @@ class _Slopes(NamedTuple):
         return self.a_pitch * self.b_roll - self.a_roll * self.b_pitch
 
 
+_LINEAR_SLOPES = _Slopes(K_PITCH, -K_ROLL, -K_PITCH, -K_ROLL)
+
+
 def to_motor_position(joint: Any, form: Form = "linear") -> Any:
     """Motor angles (..., 25) in motor order from joint angles (..., 25), rad.
 
@@ -71,8 +82,9 @@ def to_motor_position(joint: Any, form: Form = "linear") -> Any:
     """
     pitch, roll = _pairs("joint", joint)
     if _check(form) == "linear":
-        return _merge(joint, K_PITCH * pitch - K_ROLL * roll, -K_PITCH * pitch - K_ROLL * roll)
-    xp = array_namespace(joint)
+        lift, bank = K_PITCH * pitch, K_ROLL * roll
+        return _merge(joint, lift - bank, -lift - bank)
+    xp = namespace(joint)
     sin_a, sin_b = _crank_sines(xp, pitch, roll)
     return _merge(joint, xp.asin(sin_a), xp.asin(sin_b))
 
@@ -86,7 +98,7 @@ def to_joint_position(motor: Any, form: Form = "linear") -> Any:
     a, b = _pairs("motor", motor)
     if _check(form) == "linear":
         return _merge(motor, (a - b) / (2.0 * K_PITCH), -(a + b) / (2.0 * K_ROLL))
-    xp = array_namespace(motor)
+    xp = namespace(motor)
     sin_a, sin_b = xp.sin(_clip(xp, a, MOTOR_TRAVEL)), xp.sin(_clip(xp, b, MOTOR_TRAVEL))
     sin_roll = _clip(xp, -(sin_a + sin_b) / (2.0 * K_ROLL), _SIN_TRAVEL)
     return _merge(motor, xp.atan((sin_a - sin_b) / (2.0 * K_PITCH)), xp.asin(sin_roll))
@@ -112,7 +124,8 @@ def to_joint_velocity(motor_velocity: Any, joint_position: Any = None, form: For
     """Joint speeds (..., 25) from motor speeds (..., 25), rad/s; arguments and errors as for `to_motor_velocity`."""
     a, b = _pairs("motor_velocity", motor_velocity)
     s = _slopes(joint_position, form)
-    pitch, roll = (s.b_roll * a - s.a_roll * b) / s.determinant, (s.a_pitch * b - s.b_pitch * a) / s.determinant
+    determinant = s.determinant
+    pitch, roll = (s.b_roll * a - s.a_roll * b) / determinant, (s.a_pitch * b - s.b_pitch * a) / determinant
     return _merge(motor_velocity, pitch, roll)
 
 
@@ -130,7 +143,8 @@ def to_motor_torque(joint_torque: Any, joint_position: Any = None, form: Form = 
     """Motor torques (..., 25) that hold joint torques (..., 25), N·m; the inverse of `to_joint_torque`."""
     pitch, roll = _pairs("joint_torque", joint_torque)
     s = _slopes(joint_position, form)
-    a, b = (s.b_roll * pitch - s.b_pitch * roll) / s.determinant, (s.a_pitch * roll - s.a_roll * pitch) / s.determinant
+    determinant = s.determinant
+    a, b = (s.b_roll * pitch - s.b_pitch * roll) / determinant, (s.a_pitch * roll - s.a_roll * pitch) / determinant
     return _merge(joint_torque, a, b)
 
 
@@ -165,15 +179,19 @@ def _pairs(name: str, vector: Any) -> tuple[Any, Any]:
     """First and second ankle entries of a vector, each (..., 2) for left and right."""
     if vector.ndim < 1 or vector.shape[-1] != _WIDTH:
         raise ValueError(f"{name} must have shape (..., {_WIDTH}), got {tuple(vector.shape)}")
-    xp = array_namespace(vector)
-    return xp.take(vector, xp.asarray(_FIRST), axis=-1), xp.take(vector, xp.asarray(_SECOND), axis=-1)
+    return vector[..., _FIRST], vector[..., _SECOND]
 
 
 def _merge(vector: Any, first: Any, second: Any) -> Any:
     """The vector with its ankle entries replaced; its leading axes broadcast against those of the new entries."""
-    xp = array_namespace(vector)
-    leading = first.shape[:-1]
-    rest = xp.broadcast_to(vector, (*leading, _WIDTH))
+    xp = namespace(vector)
+    shape = (*first.shape[:-1], _WIDTH)
+    if xp is np:  # the standard has no arrays to write into, and would need three times as long
+        merged = np.empty(shape, np.result_type(vector, first))
+        merged[...] = vector
+        merged[..., _FIRST], merged[..., _SECOND] = first, second
+        return merged
+    rest = xp.broadcast_to(vector, shape)
     return xp.take(xp.concat([rest, first, second], axis=-1), xp.asarray(_MERGE), axis=-1)
 
 
@@ -189,11 +207,11 @@ def _crank_sines(xp: Any, pitch: Any, roll: Any) -> tuple[Any, Any]:
 def _slopes(joint_position: Any, form: Form) -> _Slopes:
     """Slopes of the motor angles at a joint position; beyond the motors' travel with the cranks held at it."""
     if _check(form) == "linear":
-        return _Slopes(K_PITCH, -K_ROLL, -K_PITCH, -K_ROLL)
+        return _LINEAR_SLOPES
     if joint_position is None:
         raise ValueError("joint_position is needed by the exact form: the slopes of the linkage depend on the pose")
     pitch, roll = _pairs("joint_position", joint_position)
-    xp = array_namespace(joint_position)
+    xp = namespace(joint_position)
     sin_a, sin_b = _crank_sines(xp, pitch, roll)
     cos_a, cos_b = xp.sqrt(1.0 - sin_a * sin_a), xp.sqrt(1.0 - sin_b * sin_b)
     pitch_slope, roll_slope = K_PITCH / xp.cos(pitch) ** 2, K_ROLL * xp.cos(roll)

@@ -9,43 +9,55 @@ from __future__ import annotations
 
 from typing import Any
 
-from array_api_compat import array_namespace
+import numpy as np
+
+from asimov_gym.robot.array_library import namespace
 
 
 def rotate_inverse(quat: Any, vector: Any) -> Any:
     """World vector (..., 3) in the body frame of `quat` (..., 4)."""
-    xp = array_namespace(quat, vector)
+    xp = namespace(quat, vector)
     w = quat[..., 0:1]
     x, y, z = quat[..., 1], quat[..., 2], quat[..., 3]
     a, b, c = vector[..., 0], vector[..., 1], vector[..., 2]
     # t = 2 (v x q): the cross product of the vector with the quaternion's vector part
-    t = 2.0 * xp.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+    t = 2.0 * _vector(xp, b * z - c * y, c * x - a * z, a * y - b * x)
     tx, ty, tz = t[..., 0], t[..., 1], t[..., 2]
-    return vector + w * t + xp.stack([ty * z - tz * y, tz * x - tx * z, tx * y - ty * x], axis=-1)
+    return vector + w * t + _vector(xp, ty * z - tz * y, tz * x - tx * z, tx * y - ty * x)
 
 
 def projected_gravity(quat: Any) -> Any:
     """Unit vector towards the ground in the body frame, (..., 3); upright gives (0, 0, -1)."""
-    xp = array_namespace(quat)
+    xp = namespace(quat)
     w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
-    return xp.stack([2.0 * (w * y - x * z), -2.0 * (w * x + y * z), 2.0 * (x * x + y * y) - 1.0], axis=-1)
+    x2, y2 = 2.0 * x, 2.0 * y
+    return _vector(xp, w * y2 - x2 * z, -(w * x2 + y2 * z), x * x2 + y * y2 - 1.0)
 
 
 def heading(quat: Any) -> Any:
     """Angle of the body's x axis about the world's z, (...), rad in (-pi, pi]."""
-    xp = array_namespace(quat)
+    xp = namespace(quat)
     w, x, y, z = quat[..., 0], quat[..., 1], quat[..., 2], quat[..., 3]
     return xp.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def to_heading(angle: Any, vector: Any) -> Any:
     """World vector (..., 3) in the frame turned by `angle` (...) about z."""
-    xp = array_namespace(angle, vector)
+    xp = namespace(angle, vector)
     c, s = xp.cos(angle), xp.sin(angle)
     x, y = vector[..., 0], vector[..., 1]
-    return xp.stack([c * x + s * y, c * y - s * x, vector[..., 2]], axis=-1)
+    return _vector(xp, c * x + s * y, c * y - s * x, vector[..., 2])
 
 
 def yaw_rate(gravity: Any, gyro: Any) -> Any:
     """Turning rate about the world's z axis, (...), rad/s, from body-frame gravity and angular velocity."""
     return -(gravity[..., 0] * gyro[..., 0] + gravity[..., 1] * gyro[..., 1] + gravity[..., 2] * gyro[..., 2])
+
+
+def _vector(xp: Any, x: Any, y: Any, z: Any) -> Any:
+    """Three components (...) of one shape and type as a vector (..., 3)."""
+    if xp is np:  # the same as stack, which for one robot would cost more than the arithmetic before it
+        vector = np.empty((*x.shape, 3), x.dtype)
+        vector[..., 0], vector[..., 1], vector[..., 2] = x, y, z
+        return vector
+    return xp.stack([x, y, z], axis=-1)

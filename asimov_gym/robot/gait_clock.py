@@ -10,18 +10,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from array_api_compat import array_namespace
+from asimov_gym.robot.array_library import namespace
 
 
 def is_moving(command: Any, threshold: float) -> Any:
     """Whether a command (..., 3) asks to walk, (...) bool: its Euclidean norm reaches `threshold`."""
-    xp = array_namespace(command)
+    xp = namespace(command)
     return xp.sum(command * command, axis=-1) >= threshold * threshold
 
 
 def advance(phase: Any, moving: Any, frequency_hz: float, dt: float) -> Any:
     """Phase after `dt` seconds, (...), rad in [0, 2 pi); it stays where `moving` is false."""
-    xp = array_namespace(phase)
+    xp = namespace(phase)
     turned = phase + 2.0 * math.pi * frequency_hz * dt
     turned = xp.where(turned >= 2.0 * math.pi, turned - 2.0 * math.pi, turned)
     return xp.where(moving, turned, phase)
@@ -29,6 +29,6 @@ def advance(phase: Any, moving: Any, frequency_hz: float, dt: float) -> Any:
 
 def signal(phase: Any, moving: Any) -> Any:
     """What the policy sees: (cos, sin) of the phase, (..., 2); zeros at rest."""
-    xp = array_namespace(phase)
+    xp = namespace(phase)
     shown = xp.stack([xp.cos(phase), xp.sin(phase)], axis=-1)
     return xp.where(moving[..., None], shown, xp.zeros_like(shown))

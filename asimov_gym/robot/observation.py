@@ -13,9 +13,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.robot import mirror
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.robot.joints import (
     JOINT_NAMES,
     JOINTS,
@@ -84,7 +84,7 @@ class ObservationLayout:
         """Scale of each entry, (width,)."""
         return np.concatenate([np.full(term.size, term.scale, dtype=np.float32) for term in self.terms])
 
-    @property
+    @cached_property
     def has_clock(self) -> bool:
         return "clock" in self.slices
 
@@ -101,8 +101,12 @@ class ObservationLayout:
         return mirror.join([mirror.joint_mirror(t.joints) if t.joints else parts[t.name] for t in self.terms])
 
     @cached_property
-    def _joint_places(self) -> tuple[np.ndarray, ...]:
-        return tuple(permutation(JOINT_NAMES, group) for group in CAN_GROUPS)
+    def _order(self) -> np.ndarray:
+        """Place of each entry of the vector in the raw quantities one after the other, joints in joint order."""
+        joints, n = np.concatenate([permutation(JOINT_NAMES, group) for group in CAN_GROUPS]), len(JOINT_NAMES)
+        head = self.slices["joint_position_0"].start
+        tail = np.arange(self.slices["action"].start, self.width) + 2 * (n - len(joints))
+        return np.concatenate([np.arange(head), head + joints, head + n + joints, tail])
 
     def observe(
         self,
@@ -126,14 +130,13 @@ class ObservationLayout:
             action: the last network output after clipping, policy order, (..., 23).
             clock: cos and sin of the gait phase, (0, 0) at rest, (..., 2); ignored by layouts without a clock.
         """
-        xp = array_namespace(gyro)
+        xp = namespace(gyro)
         offset = joint_position - xp.asarray(STAND_POSITION, dtype=joint_position.dtype)
-        positions = [xp.take(offset, xp.asarray(places), axis=-1) for places in self._joint_places]
-        velocities = [xp.take(joint_velocity, xp.asarray(places), axis=-1) for places in self._joint_places]
-        blocks = [gyro, gravity, command, *positions, *velocities, action]
+        blocks = [gyro, gravity, command, offset, joint_velocity, action]
         if self.has_clock:
             blocks.append(clock)
-        vector = xp.concat([xp.astype(block, xp.float32) for block in blocks], axis=-1) * xp.asarray(self.scales)
+        raw = xp.astype(xp.concat(blocks, axis=-1), xp.float32)
+        vector = xp.take(raw, xp.asarray(self._order), axis=-1) * xp.asarray(self.scales)
         bounds = xp.asarray(self.bounds)
         return xp.clip(vector, -bounds, bounds)
 

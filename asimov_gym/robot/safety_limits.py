@@ -15,6 +15,13 @@ TRIP_C = 80.0
 TRIP_CLEAR_C = 70.0
 """The over-temperature alert's cause lasts until the motor is below this, degrees Celsius. Assumed."""
 
+TUMBLE_TILT_DEG = 120.0
+"""A robot tilted further than this is tumbling, degrees: head below the hips. Assumed."""
+TUMBLE_RATE = 6.0
+"""A robot turning faster than this is tumbling, rad/s; walking and pushes stay within 3. Assumed."""
+LOW_SOC_PERCENT = 20.0
+"""State of charge below which the battery warns."""
+
 
 def has_fallen(gravity: Any, pelvis_height: Any) -> Any:
     """Robots on the ground, (N,) bool, from body-frame gravity (N, 3) and pelvis height above the ground (N,), m."""

@@ -10,10 +10,10 @@ import pytest
 from asimov_gym.assets import asset_path
 from asimov_gym.cli import demo, main
 from asimov_gym.cli.demo import LINEAR_BOUND, ROUTE, YAW_BOUND, Phase, PhaseResult, Walk
-from asimov_gym.cli.renderer import install_line
 from asimov_gym.cli.tracking import Tracking
 from asimov_gym.edge.wire import cloud_pb2
 from asimov_gym.recording import COMMANDS, STATE, read_recording
+from asimov_gym.rendering.backends import install_line
 
 
 def motionless_policy(path: Path) -> Path:

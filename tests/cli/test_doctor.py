@@ -11,7 +11,7 @@ import pytest
 
 from asimov_gym.cli import doctor, main
 from asimov_gym.cli.doctor import BASE_PACKAGES, Doctor, Verdict
-from asimov_gym.cli.renderer import headless_backend, install_line, probe
+from asimov_gym.rendering.backends import headless_backend, install_line, probe
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asimov_gym.cli.renderer import headless_backend, install_line
 from asimov_gym.cli.video import FPS, HEIGHT, WIDTH, VideoWriter
 from asimov_gym.physics import CPhysics
+from asimov_gym.rendering.backends import headless_backend, install_line
 
 
 def test_video_holds_every_frame(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from asimov_gym.cli import main
-from asimov_gym.cli.renderer import headless_backend, install_line
 from asimov_gym.cli.view import changed_command, policy_file
+from asimov_gym.rendering.backends import headless_backend, install_line
 
 UP, LEFT, PAGE_DOWN, END, SPACE = 265, 263, 267, 269, 32
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from asimov_gym.edge import Client, DropReason, Source, connect
+from asimov_gym.edge import Client, DropReason, Note, Source, connect
 from asimov_gym.firmware import State
 
 
@@ -49,15 +49,15 @@ def test_control_passes_on_after_two_seconds_of_silence(robot) -> None:
         assert handovers(first)[-1] == ("a", "b", "silence")
 
 
-def test_control_is_free_when_its_holder_leaves_and_the_robot_walks_on(robot) -> None:
+def test_control_is_free_when_its_holder_leaves_and_its_velocity_ends(robot) -> None:
     with connect(robot, "b") as second:
         with connect(robot, "a") as first:
             first.stand()
             first.velocity(0.2)
         assert handovers(second)[-1] == ("a", "", "left")
-        robot.advance(3.0)
+        robot.advance(0.1)
         assert robot.firmware.state is State.POLICY
-        assert robot.firmware.snapshot.velocity[0] == pytest.approx(0.2)
+        assert robot.firmware.snapshot.velocity[0] == 0.0
         second.stand()
         assert robot.firmware.state is State.STAND
 
@@ -66,3 +66,41 @@ def test_malformed_packets_claim_no_control(robot, wire) -> None:
     wire.raw(b"\xff")
     wire.velocity(float("nan"))
     assert robot.edge.control.holder is None
+
+
+def test_a_client_without_control_that_leaves_stops_nobody(robot) -> None:
+    with connect(robot, "a") as first:
+        with connect(robot, "b", Source.UDP):
+            first.stand()
+            first.velocity(0.2)
+        robot.advance(0.1)
+        assert robot.firmware.snapshot.velocity[0] == pytest.approx(0.2)
+
+
+def test_e_stop_wins_over_everything_until_it_is_released(robot) -> None:
+    with connect(robot, "a", Source.CONSOLE) as session:
+        session.stand()
+        session.velocity(0.2)
+        robot.advance(0.1)
+        robot.edge.e_stop(True)
+        assert robot.firmware.state is State.DAMP
+        session.velocity(0.2)
+        session.trajectory([0.0] * 25)
+        assert robot.edge.tally.dropped == {DropReason.E_STOPPED: 2}
+        session.stand()
+        assert robot.edge.tally.notes[Note.E_STOPPED] == 1
+        session.damp()
+        robot.advance(0.1)
+        assert robot.firmware.state is State.DAMP
+        assert session.state.get().error_flags == 0
+        robot.edge.e_stop(True)  # pressing twice changes nothing
+        robot.edge.e_stop(False)
+        assert robot.firmware.state is State.DAMP
+        session.stand()
+        assert robot.firmware.state is State.STAND
+        assert handovers(session) == [
+            ("", "a", "first_command"),
+            ("a", "e-stop", "e_stop"),
+            ("e-stop", "", "e_stop_released"),
+            ("", "a", "first_command"),
+        ]

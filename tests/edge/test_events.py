@@ -19,6 +19,10 @@ def test_boot_and_mode_changes_are_told(robot, session) -> None:
     session.damp()
     robot.advance(0.005)
     assert errors(session) == [
+        ("boot_progress", "1/4 motors: 25 of 25 answer"),
+        ("boot_progress", "2/4 imu: answers"),
+        ("boot_progress", "3/4 policy: asimov-80"),
+        ("boot_progress", "4/4 ready"),
         ("boot", "boot 1"),
         ("mode_change", "DAMP -> STAND"),
         ("mode_change", "STAND -> MOVE/POLICY"),
@@ -46,7 +50,10 @@ def test_restart_is_a_boot(robot, session) -> None:
     list(session.events())
     robot.restart()
     robot.advance(0.005)
-    assert errors(session) == [("boot", "boot 2")]
+    told = errors(session)
+    assert told[0] == ("console", "restart of the firmware")
+    assert [code for code, _ in told[1:5]] == ["boot_progress"] * 4
+    assert told[5:] == [("boot", "boot 2")]
 
 
 def test_events_are_stamped_and_numbered(robot, session) -> None:

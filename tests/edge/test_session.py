@@ -7,9 +7,15 @@ import threading
 import numpy as np
 import pytest
 
-from asimov_gym.edge import SimulatedRobot, aconnect, connect
+from asimov_gym.edge import Client, SimulatedRobot, aconnect, connect
+from asimov_gym.edge.control import Dialect
+from asimov_gym.edge.decode import decode, parse
+from asimov_gym.edge.facts import facts
+from asimov_gym.edge.listener import EdgeListener
+from asimov_gym.edge.verdict import Verdict
 from asimov_gym.edge.wire import cloud_pb2
-from asimov_gym.firmware import State, StepClock, WallClock
+from asimov_gym.firmware import State, StepClock, Trajectory, WallClock
+from asimov_gym.robot import ankle
 from asimov_gym.robot.joints import STAND_POSITION
 
 
@@ -48,6 +54,149 @@ def test_closed_session_sends_nothing(robot) -> None:
         session.stand()
     robot.advance(0.2)
     assert session.state.get().sequence == 1
+
+
+def test_wire_format_page_connects_and_reads_the_state(robot) -> None:
+    """The two calls that the published wire-format page names: `connect()` and `session.state.get()`."""
+    session = connect(robot)
+    robot.advance(0.3)
+    state = session.state.get()
+    assert state.sequence == 4
+    assert state.fw_mode == cloud_pb2.FW_MODE_DAMP
+    for name in ("joint_pos", "joint_vel", "joint_current", "joint_temp"):
+        assert len(getattr(state, name)) == 25
+    assert (len(state.imu_quat), len(state.imu_gyro), len(state.imu_gravity)) == (4, 3, 3)
+    state.joint_pos[0] = 9.0  # the caller's own copy
+    assert session.state.get().joint_pos[0] != 9.0
+    session.close()
+
+
+def test_leaving_stops_the_walk_and_stays_in_move(robot) -> None:
+    with connect(robot) as session:
+        session.stand()
+        robot.advance(0.6)
+        session.velocity(0.3, 0.1, -0.2)
+        robot.advance(0.1)
+        assert robot.firmware.snapshot.velocity.tolist() == pytest.approx([0.3, 0.1, -0.2])
+    robot.advance(0.1)
+    assert robot.firmware.snapshot.velocity.tolist() == [0.0, 0.0, 0.0]
+    assert robot.firmware.state is State.POLICY
+    assert robot.edge.control.holder is None
+
+
+def test_facts_show_the_simulator(session) -> None:
+    assert session.facts == facts()
+
+
+def test_arguments_that_belong_elsewhere_are_refused(robot) -> None:
+    for arguments, complaint in (
+        ({"token": "x"}, "token does not belong to a robot in this process"),
+        ({"state_port": 1}, "state_port does not belong"),
+    ):
+        with pytest.raises(ValueError, match=complaint):
+            connect(robot, **arguments)
+    with pytest.raises(ValueError, match="name does not belong to udp://"):
+        connect("udp://127.0.0.1", "me")
+    with pytest.raises(ValueError, match="dialect must be io on udp://"):
+        connect("udp://127.0.0.1", dialect=Dialect.CLOUD)
+    with pytest.raises(ValueError, match="token is needed"):
+        connect("ws://127.0.0.1:7880")
+    for target in ("127.0.0.1:8850", "http://127.0.0.1", "udp://", "udp://host/path", "udp://host:99999", "room"):
+        with pytest.raises(ValueError, match="target"):
+            connect(target)
+
+
+# -- the other dialect, by the same verbs ----------------------------------------------------------
+
+
+class Packets(EdgeListener):
+    """Commands as they arrive."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[Client, bytes, Verdict]] = []
+
+    def on_command(self, received_us: int, client: Client, packet: bytes, verdict: Verdict) -> None:
+        self.taken.append((client, packet, verdict))
+
+
+def test_verbs_work_in_the_other_dialect(robot) -> None:
+    with connect(robot, dialect=Dialect.IO) as session:
+        session.stand()
+        robot.advance(0.6)
+        reports = [session.state.get().fw_mode]
+        for verb in (lambda: session.velocity(0.3), lambda: session.trajectory(STAND_POSITION), session.damp):
+            verb()
+            robot.advance(0.1)
+            reports.append(session.state.get().fw_mode)
+        assert session.state.get().applied_cmd.seq == 4
+        assert [event.error.code for event in session.events()].count("mode_change") == 4
+    assert reports == [cloud_pb2.FW_MODE_STAND, cloud_pb2.FW_MODE_MOVE, cloud_pb2.FW_MODE_MOVE, cloud_pb2.FW_MODE_DAMP]
+    assert robot.edge.tally.dropped == {}
+
+
+def test_both_dialects_report_the_same_robot(robot) -> None:
+    with connect(robot, "a") as cloud, connect(robot, "b", dialect=Dialect.IO) as io:
+        cloud.stand()
+        # A pose in which no two joints agree, so that an exchange of any two would show.
+        cloud.trajectory(np.asarray(STAND_POSITION) + np.linspace(-0.08, 0.08, 25))
+        robot.advance(0.1)
+        mine, theirs = cloud.state.get(), io.state.get()
+        assert mine.fw_timestamp_us == theirs.fw_timestamp_us
+        for name in ("joint_pos", "joint_vel", "joint_current", "joint_temp", "imu_quat", "imu_gyro", "imu_gravity"):
+            assert list(getattr(mine, name)) == list(getattr(theirs, name)), name
+        assert mine.fw_mode == theirs.fw_mode == cloud_pb2.FW_MODE_MOVE
+        assert mine.timestamp_us == theirs.timestamp_us
+        for _ in range(3):
+            robot.firmware.faults.heat("R_Hip_Yaw", 85.0)
+            robot.advance(0.1)
+        mine, theirs = cloud.state.get(), io.state.get()
+        assert mine.error_flags == theirs.error_flags == 0x9
+        assert mine.fw_mode == theirs.fw_mode == cloud_pb2.FW_MODE_DAMP
+        assert mine.alert_count == theirs.alert_count > 0
+        assert list(mine.active_alerts) == list(theirs.active_alerts)
+
+
+def test_the_same_joint_targets_in_both_dialects(robot) -> None:
+    packets = Packets()
+    robot.edge.attach(packets)
+    random = np.random.default_rng(4)
+    with connect(robot, "a") as cloud, connect(robot, "b", dialect=Dialect.IO) as io:
+        for _ in range(20):
+            pose = np.asarray(STAND_POSITION) + random.uniform(-0.04, 0.04, 25)
+            motors = ankle.to_motor_position(pose)
+            kp, kd = random.uniform(1.0, 200.0, 25), random.uniform(0.1, 4.0, 25)
+            for session in (cloud, io):
+                session.trajectory(motors, kp, kd)
+    commands = [
+        decode(parse(packet, client.dialects), robot.firmware.linkage, client, 0).command
+        for client, packet, _ in packets.taken
+    ]
+    assert len(commands) == 40
+    for mine, theirs in zip(commands[::2], commands[1::2], strict=True):
+        assert isinstance(mine, Trajectory) and isinstance(theirs, Trajectory)
+        np.testing.assert_allclose(mine.position, theirs.position, atol=1e-6)
+        np.testing.assert_allclose(mine.kp, theirs.kp, rtol=1e-5)
+        np.testing.assert_allclose(mine.kd, theirs.kd, rtol=1e-5)
+
+
+def test_a_lone_gain_is_refused_where_the_robot_would_ignore_it(robot) -> None:
+    with connect(robot, dialect=Dialect.IO) as session:
+        with pytest.raises(ValueError, match=r"kp without kd: .* give both, or leave both out"):
+            session.trajectory(STAND_POSITION, kp=np.ones(25))
+        with pytest.raises(ValueError, match="kd without kp"):
+            session.trajectory(STAND_POSITION, kd=np.ones(25))
+        assert session.stand() == 1
+
+
+def test_a_session_notices_a_restart_in_either_dialect(robot) -> None:
+    with connect(robot) as cloud, connect(robot, dialect=Dialect.IO) as io:
+        for _ in range(4):
+            robot.advance(0.5)
+        robot.restart()
+        robot.advance(0.3)
+        for session in (cloud, io):
+            assert session.state.get().fw_timestamp_us <= 300_000
+            assert [kind.name for kind, count in session.state.arrivals.items() if count] == ["NEWER", "RESTART"]
 
 
 def test_waiting_in_lockstep_says_what_to_do(session) -> None:

@@ -6,8 +6,8 @@ import sys
 import gymnasium as gym
 import pytest
 
-from asimov_gym.cli.renderer import environment, headless_backend, install_line
-from asimov_gym.envs.camera import RenderError
+from asimov_gym.rendering.backends import environment, headless_backend, install_line
+from asimov_gym.rendering.offscreen import RenderError
 
 DRAW = """
 import gymnasium as gym, numpy as np, asimov_gym

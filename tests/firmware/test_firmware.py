@@ -22,6 +22,7 @@ from asimov_gym.firmware import (
     StepClock,
     Trajectory,
     Velocity,
+    WallClock,
 )
 from asimov_gym.physics import CPhysics
 from asimov_gym.robot.joints import KD, KP, MOTOR_NAMES, RANGE, STAND_POSITION, joint_index
@@ -159,6 +160,33 @@ def test_trajectory_is_checked() -> None:
         Trajectory(np.zeros(25), kd=np.full(25, np.nan))
 
 
+def test_a_trajectory_may_bring_its_own_timeout(held) -> None:
+    held.firmware.command(Trajectory(STAND_POSITION, timeout_s=2.0))
+    assert held.run(1.995).state is State.TRAJECTORY
+    assert held.run(0.005).state is State.DAMP
+    held.firmware.command(Trajectory(STAND_POSITION, timeout_s=2.0))
+    held.firmware.command(Trajectory(STAND_POSITION))
+    assert held.run(0.195).state is State.TRAJECTORY
+    assert held.run(0.005).state is State.DAMP
+
+
+def test_silence_is_told_by_an_alert_and_latches_nothing(held) -> None:
+    held.firmware.command(Trajectory(STAND_POSITION))
+    snapshot = held.run(0.205)
+    assert [(a.id, a.value, a.threshold) for a in snapshot.alerts] == [(AlertId.MODE_CHANGE, Mode.DAMP, Mode.MOVE)]
+    assert snapshot.error_flags == 0
+    held.firmware.command(Trajectory(STAND_POSITION))
+    assert held.run(0.1).state is State.TRAJECTORY
+
+
+@pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan, math.inf])
+def test_a_timeout_is_checked(timeout: float) -> None:
+    with pytest.raises(ValueError, match="timeout_s must be None or a finite number > 0"):
+        Velocity(0.0, 0.0, 0.0, timeout_s=timeout)
+    with pytest.raises(ValueError, match="timeout_s must be None or a finite number > 0"):
+        Trajectory(STAND_POSITION, timeout_s=timeout)
+
+
 # -- policy ----------------------------------------------------------------------------------------
 
 
@@ -179,6 +207,37 @@ def test_policy_sees_the_command_until_it_is_replaced(bench, policy) -> None:
     bench.firmware.command(Velocity(0.0, 0.2, 0.0))
     bench.run(0.04)
     assert policy.seen[-1][6:9] == pytest.approx([0.0, 0.2, 0.0])
+
+
+def test_a_velocity_with_a_timeout_becomes_zero_and_the_robot_walks_on_the_spot(bench, policy) -> None:
+    walking(bench)
+    bench.firmware.command(Velocity(0.3, 0.0, 0.0, timeout_s=2.0))
+    snapshot = bench.run(1.995)
+    assert (snapshot.state, snapshot.velocity[0]) == (State.POLICY, 0.3)
+    snapshot = bench.run(0.005)
+    assert (snapshot.state, list(snapshot.velocity)) == (State.POLICY, [0.0, 0.0, 0.0])
+    bench.run(0.04)
+    assert policy.seen[-1][6:9] == pytest.approx(0.0)
+    assert bench.firmware.snapshot.alerts == ()
+
+
+def test_a_new_velocity_starts_its_own_time(bench) -> None:
+    walking(bench)
+    for _ in range(4):
+        bench.firmware.command(Velocity(0.3, 0.0, 0.0, timeout_s=0.5))
+        assert bench.run(0.4).velocity[0] == 0.3
+    bench.firmware.command(Velocity(0.2, 0.0, 0.0))
+    assert bench.run(3.0).velocity[0] == 0.2
+
+
+def test_stop_walking_stops_a_walk_and_nothing_else(held) -> None:
+    walking(held)
+    held.firmware.stop_walking()
+    snapshot = held.run(0.1)
+    assert (snapshot.state, list(snapshot.velocity)) == (State.POLICY, [0.0, 0.0, 0.0])
+    held.firmware.command(Trajectory(STAND_POSITION, timeout_s=1.0))
+    held.firmware.stop_walking()
+    assert held.run(0.1).state is State.TRAJECTORY
 
 
 def test_entering_move_resets_clock_and_last_action(bench, policy) -> None:
@@ -316,7 +375,7 @@ def test_overworked_motor_heats_until_it_trips(make_bench: Callable) -> None:
     kp[LEFT_KNEE] = 500.0
     goal = STAND_POSITION.copy()
     for i in range(300):  # saws to and fro at nearly twice the rated torque
-        goal[LEFT_KNEE] = (0.3, 1.2)[i // 8 % 2]
+        goal[LEFT_KNEE] = (0.6, 0.9)[i // 4 % 2]
         bench.firmware.command(Trajectory(goal, kp, KD))
         snapshot = bench.run(0.02)
         if snapshot.latched:
@@ -332,6 +391,13 @@ def test_injected_critical_alert_latches(bench) -> None:
     bench.firmware.inject(AlertId.MOTOR_COMM_LOSS, source=4)
     snapshot = bench.run(0.005)
     assert (snapshot.state, snapshot.error_flags) == (State.DAMP, 0x3)
+
+
+def test_a_diverged_simulation_latches(held) -> None:
+    held.physics.kick(np.full((1, 6), 1e4))
+    held.run(0.005)
+    snapshot = held.run(0.005)
+    assert (snapshot.state, snapshot.error_flags) == (State.DAMP, 1 | 1 << 5)
 
 
 # -- reports ---------------------------------------------------------------------------------------
@@ -360,9 +426,59 @@ def test_exact_ankle_reaches_less_than_is_asked(make_bench: Callable) -> None:
     assert snapshot.motor_position[4] == pytest.approx(a)
 
 
+def test_explicit_ankle_gains_act_through_the_exact_mechanism(make_bench: Callable) -> None:
+    bench = make_bench("hold", ankle="exact")
+    pose = STAND_POSITION.copy()
+    pose[4:6] = 0.3, 0.1
+    kp, kd = bench.firmware.linkage.joint_gains(np.full(25, 20.0), np.full(25, 1.0), pose)
+    for _ in range(100):
+        bench.firmware.command(Trajectory(pose, kp, kd))
+        snapshot = bench.run(0.02)
+    # A law at the motors, 20 (target - angle) each, holds the same torques in this pose.
+    error = bench.firmware.linkage.motor_position(pose) - snapshot.motor_position
+    assert snapshot.motor_torque[4:6] == pytest.approx(20.0 * error[4:6], abs=0.1)
+    assert snapshot.alerts == ()
+
+
+def test_both_counters_start_again_with_each_boot_and_the_epoch_tells_boots_apart(held) -> None:
+    held.run(0.1)
+    first = held.firmware.snapshot
+    assert (first.tick, first.timestamp_us, held.firmware.ticks) == (20, 100_000, 20)
+    held.firmware.restart()
+    second = held.run(0.05)
+    assert (second.boot, second.tick, second.timestamp_us, held.firmware.ticks) == (2, 10, 50_000, 30)
+    assert first.epoch != second.epoch
+    assert all(0 < epoch < 2**63 for epoch in (first.epoch, second.epoch))
+
+
+def test_epochs_repeat_in_lockstep_and_differ_in_real_time() -> None:
+    physics = CPhysics(1)
+    assert (
+        Firmware(physics, StepClock(), seed=3).snapshot.epoch == Firmware(physics, StepClock(), seed=3).snapshot.epoch
+    )
+    assert (
+        Firmware(physics, StepClock(), seed=3).snapshot.epoch != Firmware(physics, StepClock(), seed=4).snapshot.epoch
+    )
+    assert Firmware(physics, WallClock()).snapshot.epoch != Firmware(physics, WallClock()).snapshot.epoch
+
+
+def test_inference_and_battery_are_reported(bench) -> None:
+    walking(bench)
+    snapshot = bench.firmware.snapshot
+    assert snapshot.inference.count == 5
+    assert 0.0 < snapshot.inference.average_ms <= snapshot.inference.max_ms
+    assert 45.0 < snapshot.battery.voltage_v < 54.6
+    assert snapshot.battery.current_a < -60.0 / 54.6
+    assert 99.9 < snapshot.battery.soc_percent < 100.0
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
     [
+        ("watchdog_s", 0.01),
+        ("tumble_rate", -1.0),
+        ("tumble_tilt_deg", 190.0),
+        ("imu_failure_s", float("nan")),
         ("trajectory_timeout_s", 0.0),
         ("damp_kd", 9.0),
         ("trip_clear_c", 90.0),

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from asimov_gym.firmware import Damp, GantryConfig, Stand, State, Velocity
+from asimov_gym.firmware import Damp, GantryConfig, Stand, State, Trajectory, Velocity
+from asimov_gym.robot.joints import STAND_POSITION
 
 
 def upright(bench) -> bool:
@@ -136,3 +137,85 @@ def test_without_a_rope_there_is_no_force(make_bench: Callable) -> None:
     bench = make_bench("off")
     assert bench.pelvis_height() == pytest.approx(0.6145)
     assert [bench.run(0.005).gantry_force for _ in range(100)] == [0.0] * 100
+
+
+# -- by hand ---------------------------------------------------------------------------------------
+
+
+def enter(bench, state: State) -> None:
+    if state in (State.STAND, State.POLICY):
+        bench.firmware.command(Stand())
+        bench.run(2.2)
+    if state is State.POLICY:
+        bench.firmware.command(Velocity(0.0, 0.0, 0.0))
+    if state is State.TRAJECTORY:
+        bench.firmware.command(Trajectory(STAND_POSITION, timeout_s=60.0))
+    assert bench.run(0.5).state is state
+
+
+@pytest.mark.parametrize("state", State)
+def test_hoisted_by_hand_in_every_state(bench, state: State) -> None:
+    enter(bench, state)
+    bench.firmware.gantry.by_hand("hoist")
+    snapshot = bench.run(3.0)
+    weight = 9.81 * float(bench.physics.model.body_subtreemass[0])
+    assert snapshot.state is state
+    assert snapshot.gantry_force == pytest.approx(weight, rel=0.05)
+    assert bench.physics.read().foot_force[0, :, 2].sum() == pytest.approx(0.0, abs=1.0)
+
+
+@pytest.mark.parametrize("state", [State.DAMP, State.STAND, State.TRAJECTORY])
+def test_untied_by_hand_there_is_no_force(bench, state: State) -> None:
+    enter(bench, state)
+    bench.firmware.gantry.by_hand("off")
+    assert [bench.run(0.005).gantry_force for _ in range(100)] == [0.0] * 100
+
+
+def test_lowered_by_hand_at_the_speed_of_the_winch(bench) -> None:
+    enter(bench, State.TRAJECTORY)
+    bench.firmware.command(Trajectory(STAND_POSITION, timeout_s=60.0))
+    bench.firmware.gantry.by_hand("hoist")
+    bench.run(2.0)
+    taut = bench.firmware.gantry.taut_height
+    bench.firmware.gantry.by_hand("lower")
+    bench.run(0.3)
+    assert taut - bench.firmware.gantry.taut_height == pytest.approx(0.3 * 0.15, abs=1e-6)
+    snapshot = bench.run(1.5)
+    assert snapshot.gantry_force == 0.0
+    assert bench.pelvis_height() == pytest.approx(0.608, abs=0.02)
+    assert upright(bench)
+
+
+def test_a_limp_robot_on_a_slack_rope_sinks_until_it_catches(bench) -> None:
+    bench.run(1.0)
+    bench.firmware.gantry.by_hand("slack")
+    snapshot = bench.run(6.0)
+    assert bench.pelvis_height() < 0.45
+    assert (snapshot.state, snapshot.error_flags) == (State.DAMP, 0)
+    bench.firmware.gantry.by_hand("auto")
+    bench.run(6.0)
+    assert upright(bench)
+    assert bench.pelvis_height() > 0.62
+
+
+def test_a_robot_tied_again_on_the_floor_is_lifted_without_a_jerk(make_bench: Callable) -> None:
+    bench = make_bench("off")
+    bench.run(2.0)
+    assert bench.pelvis_height() < 0.45
+    bench.firmware.gantry.by_hand("hoist")
+    weight = 9.81 * float(bench.physics.model.body_subtreemass[0])
+    forces = [bench.run(0.005).gantry_force for _ in range(1600)]
+    assert max(forces) < 1.6 * weight
+    assert forces[-1] == pytest.approx(weight, rel=0.05)
+    assert upright(bench)
+
+
+def test_auto_by_hand_obeys_the_machine_again(held) -> None:
+    held.firmware.gantry.by_hand("auto")
+    held.firmware.command(Stand())
+    assert held.run(3.0).gantry_force == 0.0
+
+
+def test_an_unknown_setting_is_refused(bench) -> None:
+    with pytest.raises(ValueError, match="gantry by hand must be one of hoist, lower, slack, off, auto, got 'up'"):
+        bench.firmware.gantry.by_hand("up")

@@ -65,6 +65,30 @@ def test_nothing_leaves_a_latched_damp(trigger: Trigger, outcome: Outcome) -> No
     assert (result.state, result.outcome) == (State.DAMP, outcome)
 
 
+@pytest.mark.parametrize("state", EVERY_STATE)
+@pytest.mark.parametrize("latched", [False, True])
+@pytest.mark.parametrize(
+    ("trigger", "outcome"),
+    [
+        (Trigger.DAMP, Outcome.TAKEN),
+        (Trigger.STAND, Outcome.TAKEN),
+        (Trigger.VELOCITY, Outcome.E_STOPPED),
+        (Trigger.TRAJECTORY, Outcome.E_STOPPED),
+        (Trigger.SILENCE, Outcome.TAKEN),
+        (Trigger.FAULT, Outcome.TAKEN),
+        (Trigger.E_STOP, Outcome.TAKEN),
+    ],
+)
+def test_a_pressed_e_stop_holds_damp(state: State, latched: bool, trigger: Trigger, outcome: Outcome) -> None:
+    result = transition(state, trigger, latched, e_stop=True)
+    assert (result.state, result.outcome) == (State.DAMP, outcome)
+
+
+@pytest.mark.parametrize("state", EVERY_STATE)
+def test_e_stop_leads_to_damp(state: State) -> None:
+    assert transition(state, Trigger.E_STOP, latched=False).state is State.DAMP
+
+
 def test_table_is_complete_and_read_only() -> None:
     assert set(TRANSITIONS) == {(state, trigger) for state in State for trigger in Trigger}
     with pytest.raises(TypeError):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from asimov_gym.physics import BodyParameters, CPhysics, JointTarget, PhysicsProfile, compile_model, delayed_position
-from asimov_gym.robot.joints import EFFORT, KD, KP, STAND_POSITION, joint_index
+from asimov_gym.physics.places import as_places
+from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, KD, KP, STAND_POSITION, joint_index
 
 STAND = STAND_POSITION[None]
 
@@ -103,6 +104,62 @@ def test_state_continues_exactly() -> None:
         other.step(JointTarget(row), 4)
     for name, value in vars(other.state()).items():
         np.testing.assert_array_equal(value, getattr(first, name), err_msg=name)
+
+
+def test_a_reading_is_taken_once_and_keeps_its_moment() -> None:
+    """It is the same object until the state changes, whoever changes it, and earlier ones stay as they were."""
+    physics = CPhysics(copies=2)
+    saved = physics.state()
+    changes = {
+        "step": lambda: physics.step(JointTarget(np.tile(STAND_POSITION - 0.1, (2, 1)))),
+        "kick": lambda: physics.kick(np.full((2, 6), 0.3)),
+        "reset": lambda: physics.reset(*physics.standing(), copies=np.array([True, False])),
+        "set_state": lambda: physics.set_state(saved),
+    }
+    for name, change in changes.items():
+        reading = physics.read()
+        assert physics.read() is reading
+        kept = {field: value.copy() for field, value in vars(reading).items()}
+        change()
+        assert physics.read() is not reading, name
+        assert not np.array_equal(physics.read().base_velocity, kept["base_velocity"]), name
+        np.testing.assert_array_equal(physics.read().base_velocity, physics.state().qvel[:, 0:3], err_msg=name)
+        for field, value in kept.items():
+            np.testing.assert_array_equal(getattr(reading, field), value, err_msg=f"{field} after {name}")
+
+
+def test_nobody_moves_the_robot_through_a_reading() -> None:
+    physics = CPhysics(copies=2)
+    for reading in (physics.read(), physics.step(JointTarget(np.tile(STAND_POSITION, (2, 1))), 4)):
+        for name, value in vars(reading).items():
+            with pytest.raises(ValueError, match="read-only"):
+                value[...] = 0.0
+            assert value.astype(np.float32).flags.writeable, name
+
+
+def test_joints_and_sensors_are_read_by_name() -> None:
+    """Each quantity of the reading is the one that the model has under its name."""
+    physics = CPhysics(copies=2)
+    rng = np.random.default_rng(2)
+    for _ in range(5):
+        reading = physics.step(JointTarget(STAND_POSITION + 0.1 * rng.standard_normal((2, 25))), 2)
+    state, model = physics.state(), physics.model
+    for i, name in enumerate(JOINT_NAMES):
+        joint, torque = model.joint(name), model.sensor(name.removesuffix("_joint") + "_torque")
+        np.testing.assert_array_equal(reading.joint_position[:, i], state.qpos[:, joint.qposadr[0]])
+        np.testing.assert_array_equal(reading.joint_velocity[:, i], state.qvel[:, joint.dofadr[0]])
+        np.testing.assert_array_equal(reading.joint_torque[:, i], state.sensors[:, torque.adr[0]])
+    for i, side in enumerate(("left", "right")):
+        for quantity in ("position", "velocity", "up", "force"):
+            start = model.sensor(f"{side}_foot_{quantity}").adr[0]
+            measured = getattr(reading, f"foot_{quantity}")[:, i]
+            np.testing.assert_array_equal(measured, state.sensors[:, start : start + 3])
+
+
+def test_places_are_slices_only_where_they_are_runs() -> None:
+    assert as_places(np.array([3, 4, 5])) == slice(3, 6)
+    for scattered in ([3, 5], [5, 4], [2, 2]):
+        np.testing.assert_array_equal(as_places(np.array(scattered)), scattered)
 
 
 def test_copies_do_not_depend_on_each_other() -> None:

@@ -194,6 +194,30 @@ def test_whole_firmware_range_is_within_the_motors_travel() -> None:
     np.testing.assert_allclose(to_joint_position(motor, "exact"), joint, atol=1e-12)
 
 
+@both_forms
+def test_leading_axes_broadcast_and_types_stay(form: Form) -> None:
+    """One speed vector at many poses, as at each pose alone; single precision stays so; no argument is changed."""
+    joint, speed = _random(4, 3), np.random.default_rng(6).normal(size=25)
+    before = joint.copy(), speed.copy()
+    together = to_motor_velocity(np.broadcast_to(speed, joint.shape), joint, form)
+    for place in np.ndindex(4, 3):
+        np.testing.assert_array_equal(together[place], to_motor_velocity(speed, joint[place], form))
+    if form == "exact":  # its slopes have the poses' axes
+        np.testing.assert_array_equal(to_motor_velocity(speed, joint, form), together)
+    assert to_motor_position(joint.astype(np.float32), form).dtype == np.float32
+    assert to_motor_position(np.zeros(25, dtype=int), form).dtype == np.float64
+    np.testing.assert_array_equal(joint, before[0])
+    np.testing.assert_array_equal(speed, before[1])
+
+
+def test_a_bad_entry_stays_where_it_is() -> None:
+    joint = _random()
+    joint[JOINT_NAMES.index("left_knee_joint")] = np.nan
+    joint[LEFT[0]] = np.inf
+    broken = ~np.isfinite(to_motor_position(joint))
+    assert set(np.flatnonzero(broken)) == {JOINT_NAMES.index("left_knee_joint"), *MOTOR_PAIRS[LEFT]}
+
+
 def test_torch_float32_follows_numpy() -> None:
     """The same functions serve other array libraries, and keep their dtype."""
     torch = pytest.importorskip("torch", reason="torch comes with the training extra")

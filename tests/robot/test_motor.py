@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from asimov_gym.robot.joints import MOTOR_NAMES
-from asimov_gym.robot.motor import RATED_TORQUE, HeatModel, heat, motor_current
+from asimov_gym.robot.motor import (
+    NO_LOAD_SPEED,
+    PEAK_TORQUE,
+    RATED_TORQUE,
+    HeatModel,
+    heat,
+    motor_current,
+    motor_torque_limits,
+)
 
 
 def test_current_is_torque_over_the_torque_constant():
@@ -40,3 +48,22 @@ def test_three_times_the_rating_trips_after_about_88_s():
 def test_figures_are_checked(name):
     with pytest.raises(ValueError, match=f"{name} must be a finite number"):
         HeatModel(**{name: float("nan")})
+
+
+KNEE = MOTOR_NAMES.index("L_Knee")
+
+
+@pytest.mark.parametrize(
+    ("speed", "low", "high"),
+    [(0.0, -75.0, 75.0), (11.414, -75.0, 25.0), (-11.414, -25.0, 75.0), (17.121, -75.0, 0.0), (30.0, -75.0, 0.0)],
+)
+def test_torque_falls_along_the_line_through_the_rated_point(speed: float, low: float, high: float):
+    limits = motor_torque_limits(np.full((2, 25), speed))
+    assert limits[0][:, KNEE] == pytest.approx(low)
+    assert limits[1][:, KNEE] == pytest.approx(high)
+
+
+def test_every_family_gives_its_rated_torque_at_its_rated_speed():
+    rated_speed = NO_LOAD_SPEED / 1.5
+    assert motor_torque_limits(rated_speed)[1] == pytest.approx(RATED_TORQUE)
+    assert pytest.approx(3.0 * RATED_TORQUE) == PEAK_TORQUE

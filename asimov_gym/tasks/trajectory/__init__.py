@@ -1,7 +1,7 @@
 """Trajectories: follow a reference motion with direct joint targets."""
 
 from asimov_gym.tasks.trajectory.config import TrajectoryConfig
-from asimov_gym.tasks.trajectory.motion import Motion, MotionError, load_motion, motion_names
+from asimov_gym.tasks.trajectory.motion import Motion, MotionError, load_motion, motion_names, save_motion
 from asimov_gym.tasks.trajectory.task import TrajectoryState, TrajectoryTask
 
 __all__ = [
@@ -12,4 +12,5 @@ __all__ = [
     "TrajectoryTask",
     "load_motion",
     "motion_names",
+    "save_motion",
 ]

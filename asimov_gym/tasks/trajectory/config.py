@@ -24,7 +24,8 @@ class TrajectoryConfig:
     """The trajectory task: follow a reference motion with direct joint targets at 50 Hz."""
 
     motion: str = "squat"
-    """Name of a shipped motion, or path to a YAML file of keyframes; it repeats until the episode ends."""
+    """Name of a shipped motion, or path to a YAML file of keyframes or an NPZ file of samples; it repeats until the
+    episode ends."""
     episode_s: float = 12.0
     ahead: tuple[int, ...] = (0, 1, 5, 10, 25)
     """Which reference targets are observed, in steps of 20 ms from now; the one at 1 is where the next step should

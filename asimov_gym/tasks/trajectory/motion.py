@@ -1,15 +1,19 @@
-"""Reference motions: joint angles over time, from keyframes in YAML.
+"""Reference motions: joint angles over time, from keyframes in YAML or from samples.
 
-A file has the keys `keyframes`, a list of `{time: seconds, joints: {name: rad}}` that begins at time 0 and ends in the
-pose it began with, and optionally `symmetric: true`, by which left joints also set their mirrored right ones. Joints
-that a keyframe does not name stand; names may leave out `_joint`. Between keyframes each joint follows the smoothest
-polynomial that rests at both ends (minimum jerk), so motions start and stop gently, and they repeat without a jump.
+A YAML file has the keys `keyframes`, a list of `{time: seconds, joints: {name: rad}}` that begins at time 0 and ends
+in the pose it began with, and optionally `symmetric: true`, by which left joints also set their mirrored right ones.
+Joints that a keyframe does not name stand; names may leave out `_joint`. Between keyframes each joint follows the
+smoothest polynomial that rests at both ends (minimum jerk), so motions start and stop gently, and they repeat without a
+jump.
+
+An NPZ file, as `save_motion` writes it, has the arrays `frames` (T, 25), rad in joint order, and `dt`, s.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,27 +74,55 @@ class Motion:
 
 
 def load_motion(name: str, dt: float) -> Motion:
-    """A shipped motion by name, or one from a YAML file.
+    """A shipped motion by name, or one from a YAML or NPZ file.
 
     Args:
-        name: such as `squat`, or a path that ends in `.yaml`.
+        name: such as `squat`, or a path that ends in `.yaml` or `.npz`.
         dt: time between frames, s.
 
     Raises:
         FileNotFoundError: there is no such file.
         MotionError: the name is unknown, or the file is not a motion of this robot.
     """
+    if name.endswith(".npz"):
+        return _load_samples(Path(name), dt)
     if name.endswith((".yaml", ".yml")):
         path = Path(name)
     elif name in motion_names():
         path = asset_path("motions", f"{name}.yaml")
     else:
-        raise MotionError(f"motion must be one of {', '.join(motion_names())} or a path to a .yaml file, got {name!r}")
+        raise MotionError(
+            f"motion must be one of {', '.join(motion_names())} or a path to a .yaml file or .npz file, got {name!r}"
+        )
     try:
         data = yaml.safe_load(path.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
         raise MotionError(f"{path} is not valid YAML: {error}") from error
     return motion_from_keyframes(str(path) if path.parent != asset_path("motions") else name, data, dt)
+
+
+def save_motion(path: str | Path, motion: Motion) -> None:
+    """Write a motion to an NPZ file, which `load_motion` reads.
+
+    Raises:
+        ValueError: the path does not end in `.npz`, by which it is recognised.
+    """
+    if Path(path).suffix != ".npz":
+        raise ValueError(f"a motion's file must end in .npz, got {path}")
+    np.savez_compressed(path, frames=motion.frames, dt=motion.dt)
+
+
+def _load_samples(path: Path, dt: float) -> Motion:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            frames, own_dt = arrays["frames"], float(arrays["dt"])
+    except FileNotFoundError:
+        raise
+    except (OSError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        raise MotionError(f"{path} is no motion with the arrays frames and dt: {error}") from error
+    if abs(own_dt - dt) > 1e-9:
+        raise MotionError(f"{path}: dt must be {dt:g} s here, got {own_dt:g}")
+    return Motion(str(path), frames, dt)
 
 
 def motion_names() -> tuple[str, ...]:

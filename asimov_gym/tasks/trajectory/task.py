@@ -15,9 +15,11 @@ from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, JointTarget, Reading
 from asimov_gym.robot import ankle
+from asimov_gym.robot.array_library import integer, real
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE
 from asimov_gym.robot.motor import DEFAULT_HEAT, heat
 from asimov_gym.robot.safety_limits import TRIP_C, has_fallen
+from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.trajectory import rewards, telemetry
 from asimov_gym.tasks.trajectory.config import TrajectoryConfig
 from asimov_gym.tasks.trajectory.motion import Motion, load_motion
@@ -88,7 +90,7 @@ class TrajectoryTask:
         """State of fresh copies that hold their pose (N, 25); their motors are cold and unloaded."""
         xp = array_namespace(joint_position)
         return TrajectoryState(
-            step=xp.zeros(joint_position.shape[0], dtype=xp.int64),
+            step=xp.zeros(joint_position.shape[0], dtype=integer(xp)),
             target=xp.stack([joint_position, joint_position], axis=1),
             temperature=xp.full_like(joint_position, DEFAULT_HEAT.ambient_c),
             torque=xp.zeros_like(joint_position),
@@ -102,12 +104,13 @@ class TrajectoryTask:
         wanted = ankle.to_joint_position(action[:, :_JOINTS], self.config.ankle)
         low, high = (xp.asarray(RANGE[:, i], dtype=action.dtype) for i in (0, 1))
         position = xp.clip(wanted, low, high)
-        clipped = xp.sum(xp.astype(xp.abs(wanted - position) > _TOLERANCE, xp.int64), axis=-1)
+        clipped = xp.sum(xp.astype(xp.abs(wanted - position) > _TOLERANCE, integer(xp)), axis=-1)
         if not self.config.gains:
             return JointTarget(position), clipped
         wanted_kp, wanted_kd = action[:, _JOINTS : 2 * _JOINTS], action[:, 2 * _JOINTS :]
         kp, kd = xp.clip(wanted_kp, 0.0, MAX_KP), xp.clip(wanted_kd, 0.0, MAX_KD)
-        clipped = clipped + xp.sum(xp.astype(kp != wanted_kp, xp.int64) + xp.astype(kd != wanted_kd, xp.int64), axis=-1)
+        beyond = xp.concat([kp != wanted_kp, kd != wanted_kd], axis=-1)
+        clipped = clipped + xp.sum(xp.astype(beyond, integer(xp)), axis=-1)
         joint_kp, joint_kd = ankle.gains_to_joint(kp, kd)
         return JointTarget(position, kp=joint_kp, kd=joint_kd), clipped
 
@@ -122,6 +125,13 @@ class TrajectoryTask:
             temperature=heat(state.temperature, torque, DT),
             torque=torque,
         )
+
+    def conclude(self, state: TrajectoryState, target: JointTarget, reading: Reading, diverged: Any) -> Outcome:
+        """Outcome of a step that drove to `target` and ended in `reading`; `diverged`: broken copies, (N,) bool."""
+        state = self.advance(state, target, reading)
+        reward, shares = self.reward(state, reading)
+        ended = self.fallen(reading) | self.overheated(state)
+        return settle(state, reward, shares, ended, diverged, self.episode_steps)
 
     def reward(self, state: TrajectoryState, reading: Reading) -> tuple[Any, dict[str, Any]]:
         """Reward of the step that led to `state`, (N,), and the share of each term per second."""
@@ -155,7 +165,8 @@ class TrajectoryTask:
         observation["alert_count"] = telemetry.alert_count(fallen, state.temperature)[:, None]
         steps = state.step[:, None] + xp.asarray(self.config.ahead)[None, :]
         observation["reference"] = xp.astype(self._frame(xp, self.motor_frames, steps), xp.float32)
-        angle = (2.0 * math.pi / len(self.motion.frames)) * xp.astype(state.step, xp.float64)
+        frame = state.step % len(self.motion.frames)
+        angle = (2.0 * math.pi / len(self.motion.frames)) * xp.astype(frame, real(xp))
         observation["phase"] = xp.astype(xp.stack([xp.cos(angle), xp.sin(angle)], axis=-1), xp.float32)
         return observation
 

@@ -16,6 +16,7 @@ from array_api_compat import array_namespace
 from asimov_gym.physics import Reading
 from asimov_gym.robot import ankle
 from asimov_gym.robot.alerts import DAMP_LATCHED, AlertId, error_bit
+from asimov_gym.robot.array_library import integer
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE, VELOCITY_LIMIT, joint_index
 from asimov_gym.robot.motor import PEAK_CURRENT, motor_current
 from asimov_gym.robot.safety_limits import TRIP_C, WARNING_C
@@ -91,24 +92,25 @@ def clip_to(xp: Any, value: Any, field: Field) -> Any:
 
 
 def alert_count(fallen: Any, temperature: Any) -> Any:
-    """How many alerts are active, (N,) int64.
+    """How many alerts are active, (N,) int.
 
     Args:
         fallen: (N,) bool.
         temperature: of the motors, degrees Celsius, (N, 25).
     """
     xp = array_namespace(temperature)
-    hot = xp.sum(xp.astype(temperature >= WARNING_C, xp.int64) + xp.astype(temperature >= TRIP_C, xp.int64), axis=-1)
-    return hot + xp.astype(fallen, xp.int64)
+    count = integer(xp)
+    hot = xp.sum(xp.astype(temperature >= WARNING_C, count) + xp.astype(temperature >= TRIP_C, count), axis=-1)
+    return hot + xp.astype(fallen, count)
 
 
 def error_flags(fallen: Any, temperature: Any) -> Any:
-    """The robot's error bits, (N,) int64; arguments as of `alert_count`."""
+    """The robot's error bits, (N,) int; arguments as of `alert_count`."""
     xp = array_namespace(temperature)
     tripped = xp.any(temperature >= TRIP_C, axis=-1)
-    bits = error_bit(AlertId.FALL_DETECTED) * xp.astype(fallen, xp.int64)
-    bits = bits + error_bit(AlertId.MOTOR_OVERTEMP) * xp.astype(tripped, xp.int64)
-    return bits + DAMP_LATCHED * xp.astype(fallen | tripped, xp.int64)
+    bits = error_bit(AlertId.FALL_DETECTED) * xp.astype(fallen, integer(xp))
+    bits = bits + error_bit(AlertId.MOTOR_OVERTEMP) * xp.astype(tripped, integer(xp))
+    return bits + DAMP_LATCHED * xp.astype(fallen | tripped, integer(xp))
 
 
 def active_alerts(fallen: bool, temperature: np.ndarray) -> tuple[tuple[int, int], ...]:

@@ -11,8 +11,10 @@ from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, Reading
 from asimov_gym.robot import frames
+from asimov_gym.robot.array_library import integer
 from asimov_gym.robot.joints import RANGE, STAND_POSITION, VELOCITY_LIMIT
 from asimov_gym.robot.safety_limits import has_fallen
+from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.velocity import rewards
 from asimov_gym.tasks.velocity.config import VelocityConfig
 
@@ -79,9 +81,9 @@ class VelocityTask:
         direction = heading[:, None] + xp.cumulative_sum(turns, axis=-1)
         legs = xp.stack([lengths * xp.cos(direction), lengths * xp.sin(direction)], axis=-1)
         state = VelocityState(
-            step=xp.zeros(n, dtype=xp.int64),
+            step=xp.zeros(n, dtype=integer(xp)),
             waypoint=xp.cumulative_sum(legs, axis=1),
-            aim=xp.zeros(n, dtype=xp.int64),
+            aim=xp.zeros(n, dtype=integer(xp)),
             command=xp.zeros((n, 2, 3), dtype=draws.dtype),
         )
         return state, heading
@@ -127,6 +129,20 @@ class VelocityTask:
         )
         xp = array_namespace(distance)
         return replace(state, step=state.step + 1, aim=state.aim + xp.astype(reached, state.aim.dtype)), advance
+
+    def conclude(self, state: VelocityState, before: Reading, after: Reading, fallen: Any, diverged: Any) -> Outcome:
+        """Outcome of a step from one reading to another.
+
+        Args:
+            state: during the step, with its command in front.
+            before: at its start.
+            after: at its end.
+            fallen: copies that fell on the way, (N,) bool.
+            diverged: copies whose simulation broke down on the way, (N,) bool.
+        """
+        state, advance = self.advance(state, before, after, fallen | diverged)
+        reward, shares = self.reward(advance)
+        return settle(state, reward, shares, fallen | self.finished(state), diverged, self.episode_steps)
 
     def reward(self, advance: rewards.Advance) -> tuple[Any, dict[str, Any]]:
         """Reward of the step, (N,), and the share of each term."""

@@ -7,8 +7,10 @@ library and a recorded rollout can be replayed elsewhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,19 +18,18 @@ from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, BodyParameters, Reading, delayed_position
 from asimov_gym.robot import frames, gait_clock, mirror
+from asimov_gym.robot.array_library import integer
 from asimov_gym.robot.feet import SOLE_DEPTH
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
 from asimov_gym.robot.observation import ObservationLayout, observation_layout
 from asimov_gym.robot.safety_limits import has_fallen
+from asimov_gym.tasks.ground_truth import critic_view, ground_truth
+from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.walk import rewards
 from asimov_gym.tasks.walk.config import WalkConfig
 
 DT = TIMESTEP * DECIMATION
 """Policy step, s."""
-_WEIGHT = 316.0
-"""The robot's weight, N; scale of contact forces for the critic."""
-_CRITIC_BOUND = 20.0
-"""Bound of what only the critic sees, so that one hard impact cannot spoil its normaliser."""
 _JOINTS, _ACTIONS = len(JOINT_NAMES), len(POLICY_JOINT_NAMES)
 _TO_POLICY = np.full(_JOINTS, -1)
 _TO_POLICY[POLICY_TO_JOINT] = np.arange(_ACTIONS)
@@ -46,6 +47,14 @@ BODY_DRAWS = 4 + 2 * _JOINTS
 """Uniform numbers per copy that `draw_body` needs."""
 POSE_DRAWS = 5 + _JOINTS + 6
 """Uniform numbers per copy that `initial_pose` needs."""
+STEP_DRAWS: Mapping[str, int] = MappingProxyType(
+    {"kick": KICK_DRAWS, "command": COMMAND_DRAWS, "sensors": SENSOR_DRAWS}
+)
+"""Uniform numbers per copy that a step takes, by what they are for."""
+START_DRAWS: Mapping[str, int] = MappingProxyType(
+    {"pose": POSE_DRAWS, "state": RESET_DRAWS, "redraw": 1, "body": BODY_DRAWS}
+)
+"""Uniform numbers per copy that the start of an episode takes besides; `redraw` decides on a new body."""
 
 
 @dataclass(frozen=True)
@@ -107,24 +116,31 @@ class WalkTask:
         velocity = 0.2 * centred[:, 5 + _JOINTS :]
         return joints, height, quat, velocity
 
-    def initial_state(self, draws: Any) -> WalkState:
-        """Task state of fresh copies from draws (N, RESET_DRAWS)."""
+    def initial_state(self, draws: Any, randomise: bool = True, noise: bool = True) -> WalkState:
+        """Task state of fresh copies from draws (N, RESET_DRAWS).
+
+        Args:
+            draws: uniform numbers.
+            randomise: whether copies get an action delay; none otherwise.
+            noise: whether their encoders have an offset; none otherwise.
+        """
         xp = array_namespace(draws)
         n, dtype, c = draws.shape[0], draws.dtype, self.config
         zeros = xp.zeros(n, dtype=dtype)
         steps = xp.asarray([c.randomisation.action_delay_ms[i] / (1000.0 * TIMESTEP) for i in (0, 1)], dtype=dtype)
         low, high = xp.round(steps[0]), xp.round(steps[1])
-        delay = xp.astype(xp.floor(low + (high - low + 0.999) * draws[:, 0]), xp.int64)
+        delay = xp.astype(xp.floor(low + (high - low + 0.999) * draws[:, 0]), integer(xp))
+        zero = c.noise.joint_zero * (2.0 * draws[:, 2 : 2 + _JOINTS] - 1.0)
         command, left = self.draw_command(draws[:, 2 + _JOINTS : 2 + _JOINTS + COMMAND_DRAWS])
         return WalkState(
-            step=xp.zeros(n, dtype=xp.int64),
+            step=xp.zeros(n, dtype=integer(xp)),
             command=command,
             command_left=left,
             kick_left=self._steps(_between(draws[:, -2], c.kick.interval_s)),
             phase=xp.where(draws[:, 1] < 0.5, zeros, zeros + math.pi),
             action=xp.zeros((n, 3, _ACTIONS), dtype=dtype),
-            delay=delay,
-            joint_zero=c.noise.joint_zero * (2.0 * draws[:, 2 : 2 + _JOINTS] - 1.0),
+            delay=delay if randomise else xp.zeros_like(delay),
+            joint_zero=zero if noise else xp.zeros_like(zero),
             mean_velocity=xp.zeros((n, 3), dtype=dtype),
         )
 
@@ -184,7 +200,7 @@ class WalkTask:
 
     def _steps(self, seconds: Any) -> Any:
         xp = array_namespace(seconds)
-        return xp.astype(xp.round(seconds / DT), xp.int64)
+        return xp.astype(xp.round(seconds / DT), integer(xp))
 
     # -- a step --------------------------------------------------------------------------------------------------------
 
@@ -204,6 +220,20 @@ class WalkTask:
         target = xp.asarray(STAND_POSITION, dtype=dtype) + offset
         target = xp.clip(target, xp.asarray(RANGE[:, 0], dtype=dtype), xp.asarray(RANGE[:, 1], dtype=dtype))
         return delayed_position(target, state.delay, DECIMATION)
+
+    def kick(self, state: WalkState, draws: Any, level: Any) -> tuple[WalkState, Any]:
+        """State with the time to the next kick renewed where it is up, and what to add to the pelvis' velocity, (N, 6).
+
+        Args:
+            state: before the step.
+            draws: (N, KICK_DRAWS); they matter where a kick is due.
+            level: place in the curriculum, 0 to 1.
+        """
+        xp = array_namespace(draws)
+        due = state.kick_left <= 0
+        kick, wait = self.draw_kick(draws, level)
+        left = xp.where(due, wait, state.kick_left)
+        return replace(state, kick_left=left), xp.where(due[:, None], kick, xp.zeros_like(kick))
 
     def push_action(self, state: WalkState, action: Any) -> WalkState:
         """State with a new clipped action (N, 23) in front."""
@@ -245,6 +275,23 @@ class WalkTask:
     def fallen(self, reading: Reading) -> Any:
         """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m."""
         return has_fallen(reading.gravity, reading.base_position[:, 2])
+
+    def conclude(
+        self, state: WalkState, reading: Reading, diverged: Any, command_draws: Any, penalty_level: Any = 1.0
+    ) -> Outcome:
+        """Outcome of a step that ended in `reading`.
+
+        Args:
+            state: during the step, with its action in front.
+            reading: at its end.
+            diverged: copies whose simulation broke down, (N,) bool.
+            command_draws: for commands whose time is up, (N, COMMAND_DRAWS).
+            penalty_level: factor on the penalties.
+        """
+        state, motion = self.motion(state, reading)
+        reward, shares = self.reward(motion, penalty_level)
+        state = self.advance(state, command_draws)
+        return settle(state, reward, shares, self.fallen(reading), diverged, self.episode_steps)
 
     def advance(self, state: WalkState, command_draws: Any) -> WalkState:
         """State for the next step: clocks run, commands whose time is up are drawn anew."""
@@ -293,23 +340,20 @@ class WalkTask:
         xp = array_namespace(reading.gyro)
         clean = self.observe(replace(state, joint_zero=xp.zeros_like(state.joint_zero)), reading)
         clean = clean if self.layout.has_clock else xp.concat([clean, self.clock(state)], axis=-1)
-        angle = frames.heading(reading.base_quat)
-        velocity = frames.to_heading(angle, reading.base_velocity)
-        force = reading.foot_force[:, :, 2] / _WEIGHT
+        truth = ground_truth(reading)
         assert body.foot_friction is not None and body.torso_mass is not None
-        extra = [
-            velocity,
-            10.0 * (reading.base_position[:, 2:3] - 0.6),
+        known = [
+            truth["velocity"],
+            truth["height"],
             state.mean_velocity - state.command,
-            10.0 * (reading.foot_position[:, :, 2] - SOLE_DEPTH),
-            force,
-            reading.foot_velocity[:, :, 2],
+            truth["foot_height"],
+            truth["foot_force"],
+            truth["foot_speed"],
             body.foot_friction[:, None],
             body.torso_mass[:, None],
             state.delay[:, None],
         ]
-        known = xp.concat([xp.astype(block, xp.float32) for block in extra], axis=-1)
-        return xp.concat([clean, xp.clip(known, -_CRITIC_BOUND, _CRITIC_BOUND)], axis=-1)
+        return critic_view(clean, known)
 
     @cached_property
     def privileged_mirror(self) -> mirror.Mirror:
