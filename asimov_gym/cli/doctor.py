@@ -55,7 +55,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what is installed, which engines, renderers and learners work, and how to get the rest.
+    """Say what is installed, which engines, renderers, learners and lanes work, and how to get the rest.
 
     Exit code 0 if the base install works, 1 if something it needs is missing.
     """
@@ -79,6 +79,7 @@ class Doctor:
             "Engines": lambda: engine_findings(self.seconds),
             "Renderers": renderer_findings,
             "Learners": learner_findings,
+            "Lanes": lane_findings,
             "Policies": policy_findings,
         }
         table = Table(box=None, pad_edge=False)
@@ -216,6 +217,24 @@ def learner_findings() -> list[Finding]:
             "from importlib.metadata import version; import brax.training.agents.ppo.train; "
             "print('brax', version('brax'))",
             "pip install jax brax mujoco-mjx",
+        ),
+    ]
+
+
+def lane_findings() -> list[Finding]:
+    """What the lanes of the simulated robot stand on. UDP, the facts endpoint and sessions need nothing more."""
+    return [
+        _imported(
+            "LiveKit",
+            ("livekit",),
+            "import livekit.rtc; from importlib.metadata import version; print('livekit', version('livekit'))",
+            extra_line("livekit"),
+        ),
+        _imported(
+            "room",
+            ("aiohttp", "aiortc", "jwt"),
+            "import asimov_gym.room; from importlib.metadata import version; print('aiortc', version('aiortc'))",
+            extra_line("room"),
         ),
     ]
 
