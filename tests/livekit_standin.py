@@ -193,6 +193,8 @@ class Room:
 
     async def connect(self, url: str, token: str, options: Any) -> None:
         self._server.attempts += 1
+        if self._server.silent:
+            await asyncio.Event().wait()
         if self._server.down:
             raise ConnectError(self._server.down)
         self.identity = self._server.identities.get(token, token)
@@ -219,6 +221,8 @@ class StandInServer:
         """Identities whose tokens lack canPublishData."""
         self.down = ""
         """While set, joining fails with this text."""
+        self.silent = False
+        """While set, joining gets no answer."""
         self.refuses_packets = False
         self.attempts = 0
         self._sids = itertools.count(1)

@@ -34,13 +34,23 @@ class Dialect(Enum):
 
 @dataclass(frozen=True)
 class Client:
-    """A sender of commands."""
+    """A sender of commands.
+
+    Raises:
+        ValueError: the name is no text that messages can carry.
+    """
 
     source: Source
     name: str
     """Unique among the connected clients; appears in events and recordings."""
     dialects: tuple[Dialect, ...] = (Dialect.CLOUD,)
     """What it may speak. With both, each packet is told apart by its protocol version."""
+
+    def __post_init__(self) -> None:
+        try:
+            self.name.encode()
+        except UnicodeEncodeError:  # else every event that names it would fail, in the control loop
+            raise ValueError(f"name must be text without lone surrogates, got {self.name!r}") from None
 
 
 @dataclass(frozen=True)

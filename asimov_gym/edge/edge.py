@@ -17,7 +17,7 @@ from asimov_gym.edge.decode import Parsed, decode, parse
 from asimov_gym.edge.diagnostics import LaneStatus, diagnostics
 from asimov_gym.edge.dialect import RULES
 from asimov_gym.edge.events import ChangeWatch, Code, boot_progress, error, handover
-from asimov_gym.edge.listener import EdgeListener
+from asimov_gym.edge.listener import EdgeListener, Listeners
 from asimov_gym.edge.robot_state import robot_state
 from asimov_gym.edge.telemetry import UINT32, AppliedCommand, MediaTimes, telemetry
 from asimov_gym.edge.verdict import DROPPED_BY_FIRMWARE, Dropped, DropReason, Note, Tally, Verdict
@@ -63,7 +63,7 @@ class Edge:
         self._media = MediaTimes()
         self._arming = Arming()
         self._order = CommandOrder()
-        self._listeners: list[EdgeListener] = []
+        self._listeners = Listeners()
         self._watch = ChangeWatch()
         self._taken: tuple[int, int] | None = None
         self._applied: AppliedCommand | None = None
@@ -83,12 +83,12 @@ class Edge:
     def attach(self, listener: EdgeListener) -> None:
         """Give a listener a copy of everything from now on."""
         with self.lock:
-            self._listeners.append(listener)
+            self._listeners.add(listener)
 
     def detach(self, listener: EdgeListener) -> None:
         """Stop that; no effect if it was not attached."""
         with self.lock:
-            self._listeners = [known for known in self._listeners if known is not listener]
+            self._listeners.remove(listener)
 
     # -- commands ----------------------------------------------------------------------------------
 
@@ -106,10 +106,50 @@ class Edge:
         """
         with self.lock:
             received_us = self.clock.realtime_us()
-            verdict = self._judge(packet, client, received_us, streamed)
+            return self.report(client, packet, self._judge(packet, client, received_us, streamed), received_us)
+
+    def submit(
+        self, command: Command, client: Client, payload: bytes, kind: str, notes: tuple[Note, ...] = ()
+    ) -> Verdict:
+        """Take a command that a lane has read and checked by rules of its own.
+
+        Control, mode machine, counters and recording are those of `receive`; the two dialects' rules do not apply.
+
+        Args:
+            command: what the firmware is to do.
+            client: who sent it.
+            payload: what the client sent, for the recording.
+            kind: what it was, in a word, for counters and recording.
+            notes: what the lane changed in it.
+
+        Returns:
+            What became of it.
+        """
+        with self.lock:
+            try:
+                self._claim(client, exempt=isinstance(command, Damp))
+                verdict = Verdict(kind, None, (*notes, *self._command(command)))
+            except Dropped as dropped:
+                verdict = Verdict(kind, dropped.reason)
+            return self.report(client, payload, verdict)
+
+    def report(self, client: Client, payload: bytes, verdict: Verdict, received_us: int | None = None) -> Verdict:
+        """Count a verdict and tell the listeners. For lanes that refuse, or answer, without asking the firmware.
+
+        Args:
+            client: who sent it.
+            payload: what was sent.
+            verdict: what became of it.
+            received_us: edge wall clock; None for now.
+
+        Returns:
+            The verdict.
+        """
+        with self.lock:
+            received_us = self.clock.realtime_us() if received_us is None else received_us
             self.tally.add(verdict, client.name)
-            for listener in self._listeners:
-                listener.on_command(received_us, client, packet, verdict)
+            at = received_us
+            self._listeners.tell(lambda listener: listener.on_command(at, client, payload, verdict))
             return verdict
 
     def _judge(self, packet: bytes, client: Client, received_us: int, streamed: bool) -> Verdict:
@@ -121,25 +161,41 @@ class Edge:
                 raise Dropped(DropReason.STALE)
             self._claim(client, exempt=isinstance(decoded.command, Damp))
             self._gate(decoded.command, parsed.dialect)
-            receipt = self.firmware.command(decoded.command)
-            if receipt.outcome is not Outcome.TAKEN:
-                raise Dropped(DROPPED_BY_FIRMWARE[receipt.outcome])
+            notes = (*decoded.notes, *self._command(decoded.command))
         except Dropped as dropped:
             if parsed is None:
                 return Verdict("", dropped.reason)
             return Verdict(parsed.kind, dropped.reason, dialect=parsed.dialect)
-        if isinstance(decoded.command, Damp):
-            self._arming.disarm()
         self._order.take(client, parsed.dialect, parsed.sequence)
         self._taken = (parsed.sequence, received_us)
-        notes = list(decoded.notes)
-        if receipt.clamped:
-            notes.append(Note.COMMAND_CLAMPED)
-        if isinstance(decoded.command, Stand) and self.firmware.alerts.latched:
+        return Verdict(parsed.kind, None, notes, parsed.dialect)
+
+    def _command(self, command: Command) -> list[Note]:
+        """Hand a command to the firmware; what there is to say of it when it was taken."""
+        receipt = self.firmware.command(command)
+        if receipt.outcome is not Outcome.TAKEN:
+            raise Dropped(DROPPED_BY_FIRMWARE[receipt.outcome])
+        if isinstance(command, Damp):
+            self._arming.disarm()
+        notes = [Note.COMMAND_CLAMPED] if receipt.clamped else []
+        if isinstance(command, Stand) and self.firmware.alerts.latched:
             notes.append(Note.LATCHED)
-        if isinstance(decoded.command, Stand) and self.firmware.e_stopped:
+        if isinstance(command, Stand) and self.firmware.e_stopped:
             notes.append(Note.E_STOPPED)
-        return Verdict(parsed.kind, None, tuple(notes), parsed.dialect)
+        return notes
+
+    def claim(self, client: Client) -> bool:
+        """Ask for control on behalf of a client whose stream the firmware takes without a command.
+
+        Returns:
+            Whether it is in control. While the emergency stop is pressed that says nothing: nobody gains control.
+        """
+        with self.lock:
+            try:
+                self._claim(client, exempt=False)
+            except Dropped:
+                return False
+            return True
 
     def _claim(self, client: Client, exempt: bool) -> None:
         """One controller at a time; DAMP is exempt, and takes no control away."""
@@ -189,6 +245,7 @@ class Edge:
                 self._boot = state.boot
                 for event in boot_progress(self.firmware):
                     self.emit(event)
+            self._listeners.tell(lambda listener: listener.on_tick(state))
             for event in self._watch.events(state):
                 self.emit(event)
             now, wall = self.clock.now_us(), self.clock.realtime_us()
@@ -202,20 +259,19 @@ class Edge:
             if report:
                 self._telemetry_due_us = _next_due(self._telemetry_due_us, TELEMETRY_PERIOD_US, now)
                 self.latest = self._telemetry(state)
-                for listener in self._listeners:
-                    listener.on_telemetry(wall, self.latest)
+                self._listeners.tell(lambda listener: listener.on_telemetry(wall, self.latest))
             if now >= self._diagnostics_due_us:
                 self._diagnostics_due_us = _next_due(self._diagnostics_due_us, DIAGNOSTICS_PERIOD_US, now)
                 holder = self.control.holder
                 self.emit(diagnostics(self.firmware, "" if holder is None else holder.name, self.lanes))
 
     def _send_robot_state(self, state: FirmwareState, wall: int, report: bool) -> None:
-        if not any(listener.wants_robot_state for listener in self._listeners):
+        if not self._listeners.want_robot_state:
             return
         message = robot_state(state, self._order.last_taken(Dialect.IO), alerts=report)
         self.latest_robot_state = message.SerializeToString()
-        for listener in self._listeners:
-            listener.on_robot_state(wall, self.latest_robot_state, report)
+        packet = self.latest_robot_state
+        self._listeners.tell(lambda listener: listener.on_robot_state(wall, packet, report))
 
     def emit(self, event: cloud_pb2.EdgeEvent) -> None:
         """Stamp an event and send it."""
@@ -224,8 +280,7 @@ class Edge:
             self._event_sequence = (self._event_sequence + 1) % UINT32
             event.sequence = self._event_sequence
             packet = event.SerializeToString()
-            for listener in self._listeners:
-                listener.on_event(event.timestamp_us, packet)
+            self._listeners.tell(lambda listener: listener.on_event(event.timestamp_us, packet))
 
     def error(
         self,

@@ -19,7 +19,7 @@ from asimov_gym.tasks.walk import task as walk
 from asimov_gym.tasks.walk.curriculum import Levels
 
 _ACTIONS = len(POLICY_JOINT_NAMES)
-_WIDTHS = walk.STEP_DRAWS | walk.START_DRAWS
+_WIDTHS = {**walk.STEP_DRAWS, **walk.START_DRAWS}
 _FOREVER = np.iinfo(np.int64).max // 2
 """Steps left of a command that is never drawn anew."""
 

@@ -104,3 +104,9 @@ def test_e_stop_wins_over_everything_until_it_is_released(robot) -> None:
             ("e-stop", "", "e_stop_released"),
             ("", "a", "first_command"),
         ]
+
+
+def test_a_name_that_no_message_can_carry_is_refused(robot) -> None:
+    with pytest.raises(ValueError, match="name must be text without lone surrogates"):
+        connect(robot, "\ud800")
+    robot.advance(1.1)  # diagnostics name who is in control

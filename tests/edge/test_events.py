@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-from asimov_gym.edge import Code
+from asimov_gym.edge import Code, EdgeListener
 from asimov_gym.edge.telemetry import UINT32
 from asimov_gym.edge.wire import cloud_pb2
-from asimov_gym.firmware import AlertId
+from asimov_gym.firmware import AlertId, FirmwareState
 
 
 def errors(session) -> list[tuple[str, str]]:
@@ -88,3 +88,17 @@ def test_codes_are_unique_and_lower_case() -> None:
     values = [code.value for code in Code]
     assert len(set(values)) == len(values)
     assert all(value == value.lower() for value in values)
+
+
+def test_a_listener_that_fails_stops_neither_the_robot_nor_the_others(robot, session, caplog) -> None:
+    class Broken(EdgeListener):
+        def on_tick(self, state: FirmwareState) -> None:
+            raise RuntimeError("broken")
+
+    robot.edge.attach(Broken())
+    robot.advance(0.5)
+    assert robot.firmware.ticks == 100
+    assert session.state.get().sequence == 6
+    assert [record.message for record in caplog.records if record.levelname == "ERROR"] == [
+        "Broken failed as a listener; its further failures are not told"
+    ]

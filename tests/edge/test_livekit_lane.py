@@ -511,6 +511,18 @@ def test_stop_leaves_the_room_and_may_be_called_twice(robot, server, make_lane) 
     assert lane.connected
 
 
+def test_stop_does_not_wait_for_a_server_that_does_not_answer(robot, server, make_lane) -> None:
+    lane = make_lane()
+    server.silent = True
+    before = server.attempts
+    server.drop(server.members["robot"], 2)
+    wait_for(lambda: server.attempts > before)
+    began = time.monotonic()
+    lane.stop()
+    assert time.monotonic() - began < 2.0
+    assert not any(thread.name == "livekit-lane" for thread in threading.enumerate())
+
+
 def test_the_last_event_still_goes_out(robot, server, make_lane) -> None:
     lane = make_lane()
 

@@ -12,6 +12,7 @@ import pytest
 
 from asimov_gym.edge import Dialect, Session, SimulatedRobot, connect
 from asimov_gym.edge.clients import livekit as module
+from asimov_gym.edge.clients import livekit_session
 from asimov_gym.edge.clients.livekit import LiveKitLink
 from asimov_gym.edge.facts import facts
 from asimov_gym.edge.transports import livekit, livekit_visit
@@ -32,9 +33,9 @@ def server(monkeypatch: pytest.MonkeyPatch) -> StandInServer:
         (livekit, "FIRST_WAIT_S", 0.01),
         (livekit_visit, "SETTLE_S", 0.01),
         (livekit_visit, "LINGER_S", 0.0),
-        (module, "RECONNECT_SETTLE_S", 0.01),
-        (module, "SETTLE_S", 0.02),
-        (module, "LINGER_S", 0.0),
+        (livekit_session, "RECONNECT_SETTLE_S", 0.01),
+        (livekit_session, "SETTLE_S", 0.02),
+        (livekit_session, "LINGER_S", 0.0),
     ):
         monkeypatch.setattr(place, name, value)
     return server
@@ -100,13 +101,18 @@ def drive(robot: SimulatedRobot, session: Session) -> None:
     until(lambda: session.state.get().fw_mode == cloud_pb2.FW_MODE_DAMP)
 
 
+def modes(session: Session) -> list[str]:
+    return [event.error.message for event in session.events() if event.error.code == "mode_change"]
+
+
 def test_all_verbs_in_dialect_cloud(running, serve) -> None:
     serve()
     with connect(URL, token="client") as session:
         assert session.dialect is Dialect.CLOUD
         assert session.facts == facts()
         drive(running, session)
-        said = [event.error.message for event in session.events(timeout=0.2) if event.error.code == "mode_change"]
+        said: list[str] = []
+        until(lambda: bool(said.extend(modes(session)) or said[-1:] == ["MOVE/TRAJECTORY -> DAMP"]))
         assert said[:2] == ["DAMP -> STAND", "STAND -> MOVE/POLICY"]
         assert session.state.get().timestamp_us > 0
     until(lambda: running.edge.control.holder is None)
@@ -261,7 +267,8 @@ def test_a_named_robot_is_not_mistaken_for_another(running, server, serve) -> No
 
 def test_commands_that_the_room_does_not_take_are_refused_in_the_end(running, server, serve, monkeypatch) -> None:
     serve()
-    monkeypatch.setattr(module, "COMMANDS_WAITING", 5)
+    for place in (module, livekit_session):
+        monkeypatch.setattr(place, "COMMANDS_WAITING", 5)
     with connect(URL, token="client") as session:
         stuck = asyncio.Event()
         server.members["client"].local_participant.publish_data = lambda *_, **__: stuck.wait()

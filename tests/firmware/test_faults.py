@@ -368,6 +368,8 @@ def test_bad_arguments_list_what_is_allowed(held) -> None:
         faults.battery(101)
     with pytest.raises(ValueError, match="unknown alert 'FIRE'; the alerts are MOTOR_COMM_LOSS"):
         faults.raise_alert("FIRE")
+    with pytest.raises(ValueError, match="alert source must be from 0 to 4294967295, got -1"):
+        faults.raise_alert("FALL_DETECTED", source=-1)
     assert faults.ongoing == ()
 
 

@@ -28,6 +28,8 @@ MAX_REQUEST_BYTES = 8192
 """Request line and headers; a longer request is refused."""
 MAX_CONCURRENT = 16
 """Requests at a time; one more is closed unread."""
+_PAUSE_S = 0.1
+"""After a connection that cannot be accepted, for want of file descriptors most likely."""
 
 _END = b"\r\n\r\n"
 _log = logging.getLogger(__name__)
@@ -122,11 +124,22 @@ class _Server(socketserver.ThreadingTCPServer):
         self._places = threading.BoundedSemaphore(MAX_CONCURRENT)
         super().__init__(address, _Request)
 
+    def get_request(self) -> Any:
+        try:
+            return super().get_request()
+        except OSError:
+            time.sleep(_PAUSE_S)  # the connection still waits: without a pause the loop would spin
+            raise
+
     def process_request(self, request: Any, client_address: Any) -> None:
-        if self._places.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
+        if not self._places.acquire(blocking=False):
             self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # no thread to be had
+            self._places.release()
+            raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
         try:

@@ -88,6 +88,7 @@ class RoomVisit:
         self._linked = asyncio.Event()
         self._ended: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._give_up: asyncio.TimerHandle | None = None
+        self._attributes: asyncio.Task[None] | None = None
 
     @property
     def description(self) -> str:
@@ -108,13 +109,18 @@ class RoomVisit:
         self.room.local_participant.register_rpc_method(SYSTEM_INFO, _system_info)
         await self._publish_tracks()
         self._linked.set()
-        self._start(self._set_attributes(), "attributes")
+        self._attributes = self._start(self._set_attributes(), "attributes")
         self._start(self._send_reports(), "reports")
         self._start(self._send_events(), "events")
         if self._media is not None:
             self._start(self._media.serve(self._rtc, self.room), "media")
         loop = asyncio.get_running_loop()
-        self._outbox.on_filled(lambda: loop.call_soon_threadsafe(self._on_filled))
+
+        def wake() -> None:
+            with suppress(RuntimeError):  # closed meanwhile, which must not reach the control loop
+                loop.call_soon_threadsafe(self._on_filled)
+
+        self._outbox.on_filled(wake)
         self._on_filled()
 
     async def stay(self) -> str:
@@ -184,6 +190,8 @@ class RoomVisit:
 
     def _on_reconnecting(self) -> None:
         self._linked.clear()
+        if self._attributes is not None:
+            self._attributes.cancel()
         self._senders.all_left()  # none of them can stop the robot now
         if self._give_up is None:
             reason = f"the connection did not come back within {RECONNECT_TIMEOUT_S:.0f} s"
@@ -206,7 +214,7 @@ class RoomVisit:
             return
         self._linked.set()
         self._on_link(True)
-        await self._set_attributes()
+        self._attributes = self._start(self._set_attributes(), "attributes")
 
     def _on_disconnected(self, reason: int) -> None:
         name = self._rtc.DisconnectReason.Name(reason) if reason else "the connection is lost"
@@ -299,10 +307,11 @@ class RoomVisit:
 
     # -- tasks ---------------------------------------------------------------------------------------------
 
-    def _start(self, work: Coroutine[Any, Any, None], name: str) -> None:
+    def _start(self, work: Coroutine[Any, Any, None], name: str) -> asyncio.Task[None]:
         task = asyncio.create_task(work, name=name)
         self._tasks.add(task)
         task.add_done_callback(self._on_done)
+        return task
 
     def _on_done(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
