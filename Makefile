@@ -60,7 +60,7 @@ $(VENV)/.installed-train: $(VENV)/.created pyproject.toml constraints.txt
 
 $(VENV)/.installed-all: $(VENV)/.created pyproject.toml constraints.txt
 	@echo "Installing asimov-gym, its trainer and the development tools into $(VENV)"
-	@$(PIP) --editable ".[train,livekit,room,test,dev]"
+	@$(PIP) --editable ".[train,mjx,livekit,room,ros2,rosbridge,joint-control,test,dev]"
 	@touch $(VENV)/.installed-base $(VENV)/.installed-train $@
 
 $(VENV)/.created:

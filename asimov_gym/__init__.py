@@ -25,7 +25,7 @@ def _register() -> None:
             continue
         name = env_id.split("-")[1]
         module = f"asimov_gym.envs.{name.lower()}"
-        register(env_id, entry_point=f"{module}:{name}Env", vector_entry_point=f"{module}:{name}VectorEnv")
+        register(env_id, entry_point=f"{module}:{name}Env", vector_entry_point=f"{module}:vector_env")
 
 
 _register()

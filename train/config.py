@@ -64,13 +64,15 @@ class PpoConfig:
     """A training run of the walking policy."""
 
     samples: int = 25_000_000
-    """Environment steps in all."""
+    """Environment steps of all processes together."""
     copies: int = 768
-    """Robots simulated together."""
+    """Robots simulated together, in each process."""
     profile: str = "training"
     """Physics profile."""
     threads: int | None = None
-    """Physics threads; the machine's cores when omitted."""
+    """Threads of a process; the machine's cores, divided among its processes, when omitted."""
+    device: str = "cpu"
+    """Where the networks live: `cpu`, or `cuda` (each process takes a GPU of its own). The physics stays on the CPU."""
     seed: int = 1
     checkpoint_s: float = 120.0
     """Seconds between checkpoints."""
@@ -88,6 +90,8 @@ class PpoConfig:
             )
         if self.profile not in PROFILES:
             raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
+        if self.device not in ("cpu", "cuda"):
+            raise ValueError(f"device must be cpu or cuda, got {self.device!r}")
         if self.checkpoint_s <= 0.0:
             raise ValueError(f"checkpoint_s must be positive, got {self.checkpoint_s}")
         if self.keep_checkpoints < 1:

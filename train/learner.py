@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Generator
 from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
 import torch
+import torch.distributed as dist
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
+from rsl_rl.storage import RolloutStorage
 from rsl_rl.utils import resolve_class
 from tensordict import TensorDict
 
@@ -19,14 +22,16 @@ from asimov_gym.robot.joints import POLICY_JOINT_NAMES
 from asimov_gym.robot.mirror import Mirror, mirror_policy
 from asimov_gym.robot.observation import ObservationLayout
 from train.config import LearnerConfig
+from train.linear import use_onednn
+from train.ranks import Ranks
 from train.symmetry import SymmetricGaussian, SymmetricModel
 
 
-def views(observation: np.ndarray, privileged: np.ndarray) -> TensorDict:
+def views(observation: np.ndarray, privileged: np.ndarray, device: str = "cpu") -> TensorDict:
     """Observation groups as rsl-rl takes them."""
-    return TensorDict(
-        {"actor": torch.from_numpy(observation), "critic": torch.from_numpy(privileged)}, batch_size=[len(observation)]
-    )
+    groups = {"actor": torch.from_numpy(observation), "critic": torch.from_numpy(privileged)}
+    rows = TensorDict(groups, batch_size=[len(observation)])
+    return rows if device == "cpu" else rows.to(device)
 
 
 class _Sizes:
@@ -70,16 +75,56 @@ def load_actor(config: LearnerConfig, layout: ObservationLayout, weights: dict[s
     return actor.eval()
 
 
-def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict) -> PPO:
-    """The algorithm with fresh networks for a batch of robots."""
+class RanksPpo(PPO):
+    """PPO over the samples of all ranks.
+
+    rsl-rl averages gradients, the KL divergence and the normaliser's figures, but scales the advantages of each rank to
+    unit variance by themselves. Here they are scaled together, as those of one large batch would be.
+    """
+
+    def compute_returns(self, obs: TensorDict) -> None:
+        """As rsl-rl's; see there."""
+        super().compute_returns(obs)
+        st = self.storage
+        raw = (st.returns - st.values).double()
+        sums = torch.stack([raw.sum(), torch.tensor(float(raw.numel()), dtype=raw.dtype, device=raw.device)])
+        dist.all_reduce(sums)
+        mean = sums[0] / sums[1]
+        spread = (raw - mean).square().sum()
+        dist.all_reduce(spread)
+        std = (spread / (sums[1] - 1.0)).sqrt()
+        st.advantages = ((raw - mean) / (std + 1e-8)).float()
+
+
+class KeptMinibatches(RolloutStorage):
+    """rsl-rl's storage, which hands out the same minibatches in every epoch and gathers them anew each time; here they
+    are gathered once."""
+
+    def mini_batch_generator(self, num_mini_batches: int, num_epochs: int = 8) -> Generator[Any, None, None]:
+        """As rsl-rl's; see there."""
+        kept = list(super().mini_batch_generator(num_mini_batches, 1))
+        for _ in range(num_epochs):
+            yield from kept
+
+
+def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict, ranks: Ranks | None = None) -> PPO:
+    """The algorithm with fresh networks for a batch of robots.
+
+    Args:
+        batch: this rank's robots.
+        config: settings.
+        observations: of the batch, on the rank's device.
+        ranks: processes that learn together; they get the networks of rank 0.
+    """
+    ranks = ranks or Ranks()
     settings: dict[str, Any] = {
         "num_steps_per_env": config.steps,
         "obs_groups": {"actor": ["actor"], "critic": ["critic"]},
-        "multi_gpu": None,
+        "multi_gpu": ranks.multi_gpu(),
         "actor": _actor(config, batch.task.layout.mirror),
         "critic": _model(config, batch.task.privileged_mirror, None),
         "algorithm": {
-            "class_name": "PPO",
+            "class_name": PPO if ranks.count == 1 else RanksPpo,
             "num_learning_epochs": config.epochs,
             "num_mini_batches": config.minibatches,
             "gamma": config.gamma,
@@ -95,6 +140,12 @@ def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict)
         },
     }
     with redirect_stdout(io.StringIO()):  # rsl-rl prints its networks
-        algorithm = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, "cpu")  # type: ignore[arg-type]
+        algorithm = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, ranks.device)  # type: ignore[arg-type]
+    size = [len(POLICY_JOINT_NAMES)]
+    algorithm.storage = KeptMinibatches("rl", batch.copies, config.steps, observations, size, ranks.device)
+    for model in (algorithm.actor, algorithm.critic):
+        use_onednn(model)
+    if ranks.count > 1:
+        algorithm.broadcast_parameters()
     algorithm.train_mode()
     return algorithm

@@ -119,4 +119,4 @@ class RunFolder:
         found = self.checkpoints()
         if not found:
             raise FileNotFoundError(f"{self.path} has no checkpoint to continue from")
-        return torch.load(found[-1], weights_only=False)
+        return torch.load(found[-1], map_location="cpu", weights_only=False)

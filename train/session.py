@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from train.config import PpoConfig
 from train.export import export_onnx
 from train.learner import load_actor
 from train.ppo import Trainer
+from train.ranks import Ranks
 from train.run_folder import RunFolder
 
 _console = Console(soft_wrap=True)
@@ -26,34 +26,49 @@ _console = Console(soft_wrap=True)
 
 def start_run(config: PpoConfig, root: Path, preset: str, name: str, warm_start: Path | None = None) -> int:
     """Train in a new run folder, from the networks of another run if one is given; returns the exit code."""
-    parent = None if warm_start is None else RunFolder.open(warm_start)
-    folder = RunFolder.create(root, preset, config, name, parent)
-    _console.print(f"run folder: {folder.path}")
-    trainer = _trainer(folder)
-    if parent is not None:
-        trainer.warm_start(parent)
-    _console.print(trainer.reward_table())
-    return _finish(trainer, folder)
+    parent = None if warm_start is None else RunFolder(warm_start)
+
+    def create() -> Path:
+        before = None if warm_start is None else RunFolder.open(warm_start)
+        return RunFolder.create(root, preset, config, name, before).path
+
+    with Ranks.joined() as ranks:
+        ranks = ranks.on(config.device)
+        folder = RunFolder(ranks.from_first(create))
+        trainer = _trainer(config, folder, ranks)
+        trainer.console.print(f"run folder: {folder.path}")
+        if ranks.count > 1:
+            trainer.console.print(f"{ranks.count} processes of {config.copies} copies each")
+        if parent is not None:
+            trainer.warm_start(parent)
+        trainer.console.print(trainer.reward_table())
+        complete = trainer.run()
+    return _finish(folder, complete, ranks)
 
 
 def resume_run(path: Path) -> int:
-    """Continue a run; returns the exit code."""
-    folder = RunFolder.open(path)
-    trainer = _trainer(folder)
-    trainer.resume()
-    _console.print(f"continuing {folder.path} at {trainer.progress.samples / 1e6:.2f}M samples")
-    return _finish(trainer, folder)
+    """Continue a run with as many processes as started it; returns the exit code."""
+    with Ranks.joined() as ranks:
+        folder = RunFolder(path)
+        config = ranks.from_first(lambda: RunFolder.open(path).config())
+        ranks = ranks.on(config.device)
+        trainer = _trainer(config, folder, ranks)
+        trainer.resume()
+        trainer.console.print(f"continuing {folder.path} at {trainer.progress.samples / 1e6:.2f}M samples")
+        complete = trainer.run()
+    return _finish(folder, complete, ranks)
 
 
-def _trainer(folder: RunFolder) -> Trainer:
-    config = folder.config()
-    torch.set_num_threads(config.threads or os.cpu_count() or 1)
-    return Trainer(config, folder)
+def _trainer(config: PpoConfig, folder: RunFolder, ranks: Ranks) -> Trainer:
+    torch.set_num_threads(ranks.threads(config.threads))
+    return Trainer(config, folder, ranks)
 
 
-def _finish(trainer: Trainer, folder: RunFolder) -> int:
-    if not trainer.run():
-        _console.print(f"stopped; continue with:  python -m train resume {folder.path}")
+def _finish(folder: RunFolder, complete: bool, ranks: Ranks) -> int:
+    if not ranks.first:
+        return 0
+    if not complete:
+        _console.print(f"stopped; continue with:  {ranks.command} resume {folder.path}")
         return 0
     return export_run(folder.path, None)
 

@@ -118,7 +118,10 @@ class MirrorSamples:
     def __call__(self, algorithm: PPO) -> None:
         """Mirror about half of the algorithm's storage, in place; to be called after the returns are known."""
         storage: RolloutStorage = algorithm.storage
-        flip = torch.rand(storage.rewards.shape) < 0.5
+        device = storage.rewards.device
+        for mirror in (self._actor, self._critic, self._action):
+            mirror.to(device)
+        flip = torch.rand(storage.rewards.shape, device=device) < 0.5
         views = storage.observations
         for name, mirror in (("actor", self._actor), ("critic", self._critic)):
             views[name].copy_(torch.where(flip, mirror(views[name]), views[name]))

@@ -17,6 +17,7 @@ from asimov_gym.cli.demo import Demo
 from asimov_gym.cli.doctor import Doctor
 from asimov_gym.cli.drive import Drive
 from asimov_gym.cli.evaluate import Evaluate
+from asimov_gym.cli.export_urdf import ExportUrdf
 from asimov_gym.cli.fault import Fault
 from asimov_gym.cli.replay import Replay
 from asimov_gym.cli.robot import Robot
@@ -29,6 +30,7 @@ Command = (
     | Annotated[Doctor, tyro.conf.subcommand("doctor")]
     | Annotated[Drive, tyro.conf.subcommand("drive")]
     | Annotated[Evaluate, tyro.conf.subcommand("eval")]
+    | Annotated[ExportUrdf, tyro.conf.subcommand("export-urdf")]
     | Annotated[Fault, tyro.conf.subcommand("fault")]
     | Annotated[Replay, tyro.conf.subcommand("replay")]
     | Annotated[Robot, tyro.conf.subcommand("robot")]

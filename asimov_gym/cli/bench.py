@@ -7,10 +7,16 @@ from typing import Annotated
 
 import tyro
 
+from asimov_gym.cli.bench_env import BenchEnv
 from asimov_gym.cli.bench_robot import BenchRobot
+from asimov_gym.cli.bench_train import BenchTrain
 
-Subject = Annotated[BenchRobot, tyro.conf.subcommand("robot")] | Annotated[None, tyro.conf.Suppress]
-"""What can be measured. `None` is never chosen: a choice of one would not be a subcommand."""
+Subject = (
+    Annotated[BenchEnv, tyro.conf.subcommand("env")]
+    | Annotated[BenchRobot, tyro.conf.subcommand("robot")]
+    | Annotated[BenchTrain, tyro.conf.subcommand("train")]
+)
+"""What can be measured."""
 
 
 @dataclass(frozen=True)
@@ -20,4 +26,4 @@ class Bench:
     subject: tyro.conf.OmitArgPrefixes[Subject]
 
     def run(self) -> int:
-        return 2 if self.subject is None else self.subject.run()
+        return self.subject.run()

@@ -236,6 +236,20 @@ def lane_findings() -> list[Finding]:
             "import asimov_gym.room; from importlib.metadata import version; print('aiortc', version('aiortc'))",
             extra_line("room"),
         ),
+        _imported(
+            "ROS 2",
+            ("cyclonedds",),
+            "import asimov_gym.edge.transports.ros2; from importlib.metadata import version; "
+            "print('cyclonedds', version('cyclonedds'))",
+            extra_line("ros2"),
+        ),
+        _imported(
+            "rosbridge",
+            ("websockets",),
+            "import asimov_gym.edge.transports.rosbridge; from importlib.metadata import version; "
+            "print('websockets', version('websockets'))",
+            extra_line("rosbridge"),
+        ),
     ]
 
 

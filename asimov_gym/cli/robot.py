@@ -12,7 +12,9 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from asimov_gym.cli.console_client import DEFAULT_NAME, console_path
 
@@ -68,8 +70,8 @@ class Robot:
     facts_port: int = 3000
     """TCP port that tells the robot's model and version; 0 for any free one."""
     listen: str = "127.0.0.1"
-    """Address for commands and facts. Nothing on UDP is authenticated: on any other than a loopback address, whoever
-    reaches it can drive the robot."""
+    """Address for commands and facts. Nothing on UDP, ROS 2 or rosbridge is authenticated: on any other than a loopback
+    address, whoever reaches it can drive the robot."""
 
     livekit: str | None = None
     """Join a LiveKit room: ws://HOST:PORT or wss://HOST. Or set LIVEKIT_URL and LIVEKIT_TOKEN."""
@@ -83,6 +85,12 @@ class Robot:
     """What the robot hears, into the room: silence, tone, tone:HZ or a WAV file."""
     speaker: Path | None = None
     """WAV file that gets what clients of the room say."""
+
+    joint_control: int | None = None
+    """Serve joint control over gRPC on this TCP port, too; 0 for any free one. Needs bosdyn-api, whose licence allows
+    it with a simulator and forbids it with hardware of other makers. Not authenticated either."""
+    motion_modes: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """Serve AimDK motion modes, too: ros2, in the domain ROS_DOMAIN_ID, or rosbridge:PORT. Give it once for each."""
 
     record: Path | None = None
     """Record commands, telemetry, events and log into this MCAP file."""
@@ -124,6 +132,10 @@ class Robot:
             raise ValueError(f"--seed must be 0 or more, got {self.seed}")
         if self.lockstep and self.livekit is not None:
             raise ValueError("--lockstep has a time of its own and serves no room; leave --livekit out")
+        if self.lockstep and self.joint_control is not None:
+            raise ValueError("--lockstep has a time of its own and serves no lanes; leave --joint-control out")
+        if self.lockstep and self.motion_modes:
+            raise ValueError("--lockstep has a time of its own and serves no lanes; leave --motion-modes out")
         if (self.camera or self.microphone or self.speaker) and self._room() is None:
             raise ValueError("--camera, --microphone and --speaker belong to a room; name it with --livekit")
         if self.view and (reason := no_window_reason()):
@@ -156,10 +168,13 @@ class Robot:
         return UdpOptions(self.udp_control_port, self.udp_state_host, self.udp_state_port, self.facts_port, self.listen)
 
     def _service(self) -> RobotService:
-        from asimov_gym.cli.robot_service import RobotService
+        from asimov_gym.cli.motion_mode_lanes import parse_motion_modes
+        from asimov_gym.cli.robot_service import JointControlOptions, RobotService
 
         console, udp, room = console_path(self.name), self._udp(), self._room()
-        return RobotService(self._robot(), console, udp, room, self.record)
+        motion_modes = parse_motion_modes(self.motion_modes, self.listen)
+        joints = None if self.joint_control is None else JointControlOptions(self.joint_control, self.listen)
+        return RobotService(self._robot(), console, udp, room, self.record, motion_modes, joints)
 
     def _robot(self) -> SimulatedRobot:
         from asimov_gym.assets import asset_path

@@ -22,6 +22,7 @@ _PHRASES = {
     Code.FAULT_LATCHED.value: "fault latched, {}; clear it with: asimov fault restart",
     Code.E_STOP.value: "emergency stop {}",
     Code.CONSOLE.value: "console: {}",
+    Code.JOINT_CONTROL.value: "joint control: {}",
     Code.CAMERA.value: "camera: {}",
     Code.MICROPHONE.value: "microphone: {}",
     Code.SPEAKER.value: "speaker: {}",

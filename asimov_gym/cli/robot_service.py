@@ -20,6 +20,8 @@ from asimov_gym.edge.transports.udp import CONTROL_PORT, STATE_PORT, UdpLane
 from asimov_gym.recording import Recorder
 
 if TYPE_CHECKING:
+    from asimov_gym.cli.motion_mode_lanes import MotionModeLanes, MotionModeOptions
+    from asimov_gym.edge.transports.joint_control import JointControlLane
     from asimov_gym.edge.transports.livekit import LiveKitLane, Media
 
 
@@ -50,6 +52,15 @@ class RoomOptions:
     """WAV file that gets what clients say."""
 
 
+@dataclass(frozen=True)
+class JointControlOptions:
+    """Where joint control is served."""
+
+    port: int
+    """TCP; 0 stands for any free one."""
+    listen: str = "127.0.0.1"
+
+
 class RobotService:
     """Runs one robot between `start` and `stop`, or as a context manager.
 
@@ -59,6 +70,8 @@ class RobotService:
         udp: None for no UDP lane and no facts endpoint.
         room: None for no room.
         recording: MCAP file to record into.
+        motion_modes: None for no such lane.
+        joint_control: None for no such lane.
     """
 
     def __init__(
@@ -68,6 +81,8 @@ class RobotService:
         udp: UdpOptions | None = None,
         room: RoomOptions | None = None,
         recording: Path | None = None,
+        motion_modes: MotionModeOptions | None = None,
+        joint_control: JointControlOptions | None = None,
     ) -> None:
         self.robot = robot
         self.udp: UdpLane | None = None
@@ -75,10 +90,14 @@ class RobotService:
         self.room: LiveKitLane | None = None
         self.recorder: Recorder | None = None
         self.console: Console | None = None
+        self.motion_modes: MotionModeLanes | None = None
+        self.joint_control: JointControlLane | None = None
         self._console_path = console
         self._udp_options = udp
         self._room_options = room
         self._recording = recording
+        self._motion_mode_options = motion_modes
+        self._joint_control_options = joint_control
         self._open = ExitStack()
 
     # -- life --------------------------------------------------------------------------------------
@@ -110,6 +129,15 @@ class RobotService:
             o = self._room_options
             self.room = LiveKitLane(edge, o.url, o.token, o.dialects, self._media(stack, o))
             stack.enter_context(self.room)
+        if self._motion_mode_options is not None:
+            from asimov_gym.cli.motion_mode_lanes import MotionModeLanes
+
+            self.motion_modes = MotionModeLanes(edge, self._motion_mode_options, stack)
+        if self._joint_control_options is not None:
+            from asimov_gym.edge.transports.joint_control import JointControlLane
+
+            options = self._joint_control_options
+            self.joint_control = stack.enter_context(JointControlLane(edge, options.port, options.listen))
         stack.enter_context(self.robot)  # last to run, first to stop: everybody sees its first and its last event
 
     def _media(self, stack: ExitStack, options: RoomOptions) -> Media | None:
@@ -174,6 +202,12 @@ class RobotService:
         if self.room is not None and self._room_options is not None:
             lines.append(("room", self.room.connect_line))
             lines.append(("", f"asimov drive --livekit {self._room_options.url}, with the token in LIVEKIT_TOKEN"))
+        if self.joint_control is not None:
+            from asimov_gym.edge.transports.joint_control import LICENCE_LINE
+
+            lines += [("joints", self.joint_control.connect_line), ("", LICENCE_LINE)]
+        if self.motion_modes is not None:
+            lines += self.motion_modes.connect_lines()
         if self.console is not None:
             lines.append(("faults", self.console.connect_line))
         if self.recorder is not None:

@@ -265,6 +265,17 @@ class Edge:
                 holder = self.control.holder
                 self.emit(diagnostics(self.firmware, "" if holder is None else holder.name, self.lanes))
 
+    @property
+    def wants_samples(self) -> bool:
+        """Whether a listener wants samples of joint control, for which the physics must run at 1 kHz."""
+        return any(listener.wants_samples for listener in self._listeners.all)
+
+    def sample(self) -> None:
+        """Tell the listeners of the physics step that is just done."""
+        with self.lock:
+            sample = self.firmware.joint_sample()
+            self._listeners.tell(lambda listener: listener.on_sample(sample))
+
     def _send_robot_state(self, state: FirmwareState, wall: int, report: bool) -> None:
         if not self._listeners.want_robot_state:
             return

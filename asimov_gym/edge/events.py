@@ -10,7 +10,7 @@ from enum import Enum
 
 from asimov_gym.edge.control import Handover
 from asimov_gym.edge.wire import cloud_pb2
-from asimov_gym.firmware import Alert, AlertId, Firmware, FirmwareState, State
+from asimov_gym.firmware import Alert, AlertId, Firmware, FirmwareState
 from asimov_gym.robot.joints import MOTOR_NAMES
 
 
@@ -33,6 +33,8 @@ class Code(Enum):
     """The simulation cannot keep up with real time; the message holds the factor it reached."""
     E_STOP = "e_stop"
     """The emergency stop was `pressed` or `released`."""
+    JOINT_CONTROL = "joint_control"
+    """A run of joint commands `began`, or `ended: ` and why; a fault of it was raised or cleared."""
     CONSOLE = "console"
     """The bench operator acted: injected a fault, moved the gantry, restarted the firmware; the message says what."""
     CAMERA = "camera"
@@ -91,7 +93,6 @@ class ChangeWatch:
 
     def __init__(self) -> None:
         self._boot = 0
-        self._state = State.DAMP
         self._alerts: dict[tuple[AlertId, int], Alert] = {}
         self._latched = False
 
@@ -99,7 +100,7 @@ class ChangeWatch:
         """What happened since the last state, in the order boot, alerts, latch, mode."""
         found = []
         if state.boot != self._boot:
-            self._boot, self._state, self._alerts, self._latched = state.boot, State.DAMP, {}, False
+            self._boot, self._alerts, self._latched = state.boot, {}, False
             found.append(error(Code.BOOT, f"boot {state.boot}"))
         alerts = {(alert.id, alert.source): alert for alert in state.alerts}
         if alerts.keys() != self._alerts.keys():
@@ -114,7 +115,5 @@ class ChangeWatch:
         if state.latched and not self._latched:
             found.append(error(Code.FAULT_LATCHED, f"error_flags 0x{state.error_flags:x}"))
         self._latched = state.latched
-        if state.state is not self._state:
-            found.append(error(Code.MODE_CHANGE, f"{self._state.value} -> {state.state.value}"))
-            self._state = state.state
+        found += [error(Code.MODE_CHANGE, f"{old.value} -> {new.value}") for old, new in state.changes]
         return found

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from asimov_gym.edge.control import Client
 from asimov_gym.edge.verdict import Verdict
-from asimov_gym.firmware import FirmwareState
+from asimov_gym.firmware import FirmwareState, JointSample
 
 _log = logging.getLogger(__name__)
 
@@ -22,11 +22,18 @@ class EdgeListener:
     wants_robot_state: bool = False
     """Whether this listener needs RobotState frames. The edge makes them only while an attached listener does."""
 
+    wants_samples: bool = False
+    """Whether this listener needs samples of joint control now. While an attached one does, the physics runs at
+    1 kHz."""
+
     def on_command(self, received_us: int, client: Client, packet: bytes, verdict: Verdict) -> None:
         """A packet came in and got a verdict. `received_us` is the edge's wall clock."""
 
     def on_tick(self, state: FirmwareState) -> None:
         """A control step is done, 200 times a second; called before what is reported of it."""
+
+    def on_sample(self, sample: JointSample) -> None:
+        """A physics step is done, 1000 times a second; only while some listener wants samples."""
 
     def on_telemetry(self, timestamp_us: int, packet: bytes) -> None:
         """A serialized EdgeTelemetry goes out, 10 times a second."""

@@ -41,7 +41,7 @@ class SimulatedRobot:
     OVERLOAD_FACTOR = 0.95
     """Slower than this many times real time over a second is reported as overload."""
     LATENESS_SAMPLES = 60_000
-    """Control steps of which the lateness is kept: five minutes."""
+    """Steps of the loop of which the lateness is kept: five minutes, one while joint control is open."""
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class SimulatedRobot:
         self.realtime_factor = 1.0
         """Simulated over real time in the last second; only with a `WallClock`."""
         self.lateness_us: deque[int] = deque(maxlen=self.LATENESS_SAMPLES)
-        """How late each of the last control steps began, microseconds; only with a `WallClock`."""
+        """How late each of the last steps of the loop began, microseconds; only with a `WallClock`."""
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
@@ -71,7 +71,7 @@ class SimulatedRobot:
     # -- lockstep ----------------------------------------------------------------------------------
 
     def advance(self, seconds: float) -> None:
-        """Run the robot for a time that is a multiple of its 5 ms control step.
+        """Run the robot for a time that is a multiple of its 5 ms control step, whatever the physics step is.
 
         Raises:
             RuntimeError: the robot runs in real time.
@@ -79,13 +79,14 @@ class SimulatedRobot:
         """
         if not isinstance(self.clock, StepClock):
             raise RuntimeError("this robot runs in real time: use start() and stop(), or build it with a StepClock")
-        steps = seconds / self.physics.timestep
+        period = self.firmware.period_us / MICROSECONDS
+        steps = seconds / period
         if steps < 0 or abs(steps - round(steps)) > 1e-6:
-            raise ValueError(
-                f"seconds must be a multiple >= 0 of the control step, {self.physics.timestep} s; got {seconds}"
-            )
+            raise ValueError(f"seconds must be a multiple >= 0 of the control step, {period} s; got {seconds}")
         for _ in range(round(steps)):
             self._step()
+            while not self.firmware.between_steps:
+                self._step()
 
     # -- real time ---------------------------------------------------------------------------------
 
@@ -145,32 +146,42 @@ class SimulatedRobot:
 
     # -- the loop ----------------------------------------------------------------------------------
 
-    def _step(self) -> None:
-        with self.edge.lock:
+    def _step(self) -> int:
+        """One step of the loop: a control step, or a fifth of one while joint control is open. Its length in
+        microseconds."""
+        firmware, edge = self.firmware, self.edge
+        with edge.lock:
+            if firmware.between_steps:
+                firmware.fast = edge.wants_samples
+            length = firmware.step_us
             if isinstance(self.clock, StepClock):
-                self.clock.advance(round(self.physics.timestep * MICROSECONDS))
-            self.edge.tick(self.firmware.tick())
+                self.clock.advance(length)
+            state = firmware.tick()
+            if length < firmware.period_us:
+                edge.sample()
+            if firmware.between_steps:
+                edge.tick(state)
+        return length
 
     def _run(self) -> None:
-        period = round(self.physics.timestep * MICROSECONDS)
         due = window_start = self.clock.now_us()
-        steps = 0
+        simulated = 0
         try:
             while not self._stop.is_set():
                 self.lateness_us.append(max(0, self.clock.now_us() - due))
-                self._step()
-                steps += 1
-                due += period
+                length = self._step()
+                simulated += length
+                due += length
                 now = self.clock.now_us()
                 if now < due:
                     self._stop.wait((due - now) / MICROSECONDS)
                 elif now - due > self.BACKLOG_US:
                     due = now
                 if now - window_start >= MICROSECONDS:
-                    self.realtime_factor = steps * period / (now - window_start)
+                    self.realtime_factor = simulated / (now - window_start)
                     if self.realtime_factor < self.OVERLOAD_FACTOR:
                         self.edge.overload(self.realtime_factor)
-                    window_start, steps = now, 0
+                    window_start, simulated = now, 0
         except BaseException as failure:  # the thread's owner hears of it in stop()
             _log.exception("the simulated robot died")
             self._failure = failure

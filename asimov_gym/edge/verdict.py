@@ -36,10 +36,29 @@ class DropReason(Enum):
     TRAJECTORY_EMPTY = "FullTrajectory without segments"
     TRAJECTORY_LENGTH = "positions of a segment are not exactly 25"
     TRAJECTORY_NOT_FINITE = "a position is NaN or infinite"
-    FAULT_LATCHED = "trajectory while a fault is latched (ours)"
+    FAULT_LATCHED = "trajectory, or a motion mode that stands, while a fault is latched (ours)"
     E_STOPPED = "the emergency stop is pressed (ours)"
     NO_POLICY = "velocity to a robot without a policy (ours)"
     NOT_IN_CONTROL = "another client is in control (ours)"
+    JOINT_INVALID = "a message with a value missing or impossible (joint control)"
+    JOINT_NO_GAINS = "the first joint command of a run carries no gains (joint control)"
+    JOINT_INACTIVE = "joint command while joint control is not active (joint control)"
+    JOINT_EXPIRED = "joint command that came after its own end (joint control)"
+    JOINT_TOO_DISTANT = "joint command whose end is too far ahead (joint control)"
+    JOINT_FAULT = "the fault of joint control is not cleared, or there is none to clear (joint control)"
+    JOINT_SECOND_STREAM = "a second stream of joint commands beside an open one (joint control)"
+    JOINT_NO_TIMESYNC = "a client that has not synchronised its clock (joint control)"
+    JOINT_UNSUPPORTED = "a command that this robot does not have (joint control)"
+    MOTION_MODE_UNKNOWN = "a motion mode that is not one of the five (motion modes)"
+    MOTION_MODE_UNREACHABLE = "no way leads from the present motion mode to the one asked for (motion modes)"
+    SWITCHING = "a switch to another motion mode is under way (motion modes)"
+    NOT_UPRIGHT = "the robot has fallen: it is too far from upright to stand (motion modes)"
+    FEET_UNLOADED = "a foot does not carry the robot, so it cannot balance (motion modes)"
+    VELOCITY_NOT_BALANCING = "velocity while the robot neither balances nor walks (motion modes)"
+    INPUT_SOURCE_UNKNOWN = "an input source that is not registered (motion modes)"
+    INPUT_SOURCE_DISABLED = "velocity of an input source that is disabled (motion modes)"
+    INPUT_SOURCE_OUTRANKED = "velocity of an input source while another one is preferred (motion modes)"
+    INPUT_SOURCE_REFUSED = "an input source cannot be added or changed like this (motion modes)"
 
 
 class Note(Enum):
@@ -56,6 +75,11 @@ class Note(Enum):
     FIELD_IGNORED = "upper_only or duration is set: ignored"
     LATCHED = "STAND has no effect while a fault is latched"
     E_STOPPED = "STAND has no effect while the emergency stop is pressed"
+    UNCHANGED = "what was asked for is so already (motion modes)"
+    INPUT_SOURCE_UNKNOWN = "the input source is not registered (motion modes)"
+    JOINT_WAITING = "joint command before joint control is active: kept until then (joint control)"
+    LOAD_CLAMPED = "load clamped to the joint's effort (joint control)"
+    BELOW_START = "too slow to leave standstill: zero used (motion modes)"
 
 
 DROPPED_BY_FIRMWARE = {
@@ -63,6 +87,7 @@ DROPPED_BY_FIRMWARE = {
     Outcome.LATCHED: DropReason.FAULT_LATCHED,
     Outcome.NO_POLICY: DropReason.NO_POLICY,
     Outcome.E_STOPPED: DropReason.E_STOPPED,
+    Outcome.JOINT_FAULT: DropReason.JOINT_FAULT,
 }
 
 
@@ -79,7 +104,8 @@ class Verdict:
     """What became of one packet."""
 
     kind: str
-    """`velocity`, `trajectory`, `mode`, `eol`, or empty when it could not be told."""
+    """`velocity`, `trajectory`, `mode`, `eol`, or empty when it could not be told; of lanes with messages of their own
+    also `motion_mode`, `motion_velocity`, `motion_source`."""
     reason: DropReason | None = None
     """Why it was dropped; None when it was taken."""
     notes: tuple[Note, ...] = ()

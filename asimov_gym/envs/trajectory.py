@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
+import gymnasium as gym
+
 from asimov_gym.envs.batch import check_flag
 from asimov_gym.envs.env import RobotEnv
 from asimov_gym.envs.trajectory_batch import TrajectoryBatch
-from asimov_gym.envs.vector_env import RobotVectorEnv, check_copies
+from asimov_gym.envs.vector_env import RobotVectorEnv, check_c_physics, check_copies, check_engine
 from asimov_gym.physics import PhysicsProfile
 from asimov_gym.presets import from_mapping
 from asimov_gym.tasks.trajectory import TrajectoryConfig
@@ -25,6 +27,7 @@ class TrajectoryArguments(TypedDict, total=False):
     config: TrajectoryConfig | Mapping[str, Any] | None
     profile: str | PhysicsProfile
     threads: int | None
+    physics: str
 
 
 class TrajectoryEnv(RobotEnv):
@@ -87,6 +90,7 @@ class TrajectoryEnv(RobotEnv):
             are refused.
         profile: physics: `evaluation` (full collisions) or `training` (fast: simple contacts of the feet only).
         threads: size of the physics thread pool; None for one for each core, at most one for each copy.
+        physics: `c`; with `gym.make_vec` also `mjx` or `warp`, see `vector_env`.
         render_mode, camera, width, height: see `asimov_gym.envs.env.RobotEnv`.
 
     Raises:
@@ -120,6 +124,21 @@ class TrajectoryVectorEnv(RobotVectorEnv):
         super().__init__(_batch(check_copies(num_envs), **arguments), render_mode, camera, width, height)
 
 
+def vector_env(
+    num_envs: int = 1, physics: str = "c", arrays: str = "numpy", **arguments: Any
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """What `gym.make_vec("Asimov-Trajectory-v0", num_envs)` makes: arguments as of `TrajectoryEnv` and
+    `asimov_gym.envs.walk.vector_env`. On MJX the profile is `training`, and `info` has no alerts and timestamps but
+    `sequence`."""
+    if check_engine(physics, arrays, arguments) == "c":
+        return TrajectoryVectorEnv(num_envs, **arguments)
+    from asimov_gym.envs.functional.trajectory import FunctionalTrajectory
+    from asimov_gym.envs.functional.vector_env import FunctionalVectorEnv
+
+    settings = _settings(*(arguments.pop(name, None) for name in ("config", "motion", "gains", "ankle", "episode_s")))
+    return FunctionalVectorEnv(FunctionalTrajectory(settings, physics, **arguments), check_copies(num_envs), arrays)
+
+
 def _batch(
     copies: int,
     *,
@@ -130,12 +149,24 @@ def _batch(
     config: TrajectoryConfig | Mapping[str, Any] | None = None,
     profile: str | PhysicsProfile = "evaluation",
     threads: int | None = None,
+    physics: str = "c",
 ) -> TrajectoryBatch:
+    check_c_physics(physics)
+    return TrajectoryBatch(copies, _settings(config, motion, gains, ankle, episode_s), profile, threads)
+
+
+def _settings(
+    config: TrajectoryConfig | Mapping[str, Any] | None,
+    motion: str | None,
+    gains: bool | None,
+    ankle: str | None,
+    episode_s: float | None,
+) -> TrajectoryConfig:
+    """The configuration that the arguments ask for."""
     settings = (
         config if isinstance(config, TrajectoryConfig) else from_mapping(TrajectoryConfig, config or {}, "config")
     )
     given = {"motion": motion, "ankle": ankle, "episode_s": episode_s}
     if gains is not None:
         given["gains"] = check_flag("gains", gains)
-    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
-    return TrajectoryBatch(copies, settings, profile, threads)
+    return replace(settings, **{name: value for name, value in given.items() if value is not None})

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
-import gymnasium as gym
 import mujoco
 import numpy as np
 
 from asimov_gym.envs.batch import BatchStep, Info
+from asimov_gym.envs.spaces import trajectory_spaces
 from asimov_gym.envs.streams import CopyStreams
 from asimov_gym.physics import DECIMATION, CPhysics, PhysicsProfile, Reading
 from asimov_gym.robot.feet import SOLE_DEPTH
@@ -45,25 +45,13 @@ class TrajectoryBatch:
         self.copies = copies
         self.physics = CPhysics(copies, profile, threads)
         self._streams = CopyStreams(range(copies))
-        self._height = _standing_height(self.physics, self.task.motion.frames[0])
+        self._height = standing_height(self.physics.model, self._pose(self.task.motion.frames[:1]))
         self.state: TrajectoryState = self.task.initial_state(np.zeros((copies, len(JOINT_NAMES))))
-        self.observation_space = self._observation_space()
-        low, high = self.task.action_low.astype(np.float32), self.task.action_high.astype(np.float32)
-        self.action_space = gym.spaces.Box(low, high, dtype=np.float32)
+        self.observation_space, self.action_space = trajectory_spaces(self.task)
 
-    def _observation_space(self) -> gym.spaces.Dict:
-        config = self.task.config
-        spaces: dict[str, gym.Space[Any]] = {
-            name: gym.spaces.Box(f.low.astype(np.float32), f.high.astype(np.float32), dtype=np.float32)
-            for name, f in telemetry.measured_fields(config.ankle).items()
-        }
-        spaces["fw_mode"] = gym.spaces.Discrete(3)
-        spaces["error_flags"] = gym.spaces.Box(0, 2**17 - 1, (1,), np.int64)
-        spaces["alert_count"] = gym.spaces.Box(0, 1 + 2 * len(JOINT_NAMES), (1,), np.int64)
-        low, high = (np.tile(b, (len(config.ahead), 1)).astype(np.float32) for b in self.task.motor_range.T)
-        spaces["reference"] = gym.spaces.Box(low - 1e-3, high + 1e-3, dtype=np.float32)
-        spaces["phase"] = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
-        return gym.spaces.Dict(spaces)
+    def _pose(self, joints: np.ndarray) -> np.ndarray:
+        """Generalised positions (nq,) of an upright robot at the origin in a pose (1, 25)."""
+        return self.physics.configuration(joints, np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0, 0.0]]))[0]
 
     def seed(self, seeds: Sequence[int]) -> None:
         self._streams = CopyStreams(seeds)
@@ -119,11 +107,10 @@ class TrajectoryBatch:
         self.physics.close()
 
 
-def _standing_height(physics: CPhysics, joints: np.ndarray) -> float:
-    """Height of the pelvis, m, at which the lower foot of an upright robot in a pose (25,) touches the ground."""
-    data = mujoco.MjData(physics.model)
-    upright = np.array([[1.0, 0.0, 0.0, 0.0]])
-    data.qpos[:] = physics.configuration(joints[None], np.zeros((1, 3)), upright)[0]
-    mujoco.mj_forward(physics.model, data)
+def standing_height(model: mujoco.MjModel, qpos: np.ndarray) -> float:
+    """Height of the pelvis, m, at which the lower foot of a robot in a pose (nq,) at the origin touches the ground."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
     feet = [data.sensor(f"{side}_foot_position").data[2] for side in ("left", "right")]
     return SOLE_DEPTH - float(min(feet))

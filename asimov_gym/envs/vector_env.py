@@ -12,6 +12,7 @@ from gymnasium.vector.utils import batch_space
 from asimov_gym.envs.batch import EnvBatch, check_action, check_options, masked_info, replace_rows, row
 from asimov_gym.envs.camera import OffscreenCamera
 from asimov_gym.envs.env import check_render_mode, check_size
+from asimov_gym.physics import ENGINES
 from asimov_gym.rendering.offscreen import check_camera
 
 
@@ -77,7 +78,7 @@ class RobotVectorEnv(gym.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
         options_ = check_options(options, self._batch.option_names)
         super().reset(seed=seed if seed is None or isinstance(seed, int) else None)
         if seed is not None or not self._seeded:
-            self._batch.seed(self._seeds(seed))
+            self._batch.seed(seeds_of_copies(seed, self.num_envs, self.np_random))
             self._seeded = True
         everyone = np.ones(self.num_envs, dtype=bool)
         observation, info = self._batch.restart(everyone, options_)
@@ -125,13 +126,47 @@ class RobotVectorEnv(gym.vector.VectorEnv[Any, np.ndarray, np.ndarray]):
             self._offscreen.close()
         self._batch.close()
 
-    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int]:
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + i for i in range(self.num_envs)]
-        given = [None] * self.num_envs if seed is None else list(seed)
-        if len(given) != self.num_envs:
-            raise ValueError(f"seed must be a number or {self.num_envs} of them, one for each copy, got {len(given)}")
-        return [int(self.np_random.integers(2**63)) if s is None else int(s) for s in given]
+
+def seeds_of_copies(seed: int | Sequence[int | None] | None, copies: int, rng: np.random.Generator) -> list[int]:
+    """A seed for each copy, from what `reset` was given; those that were not given are drawn.
+
+    Raises:
+        ValueError: the number of seeds is not that of the copies.
+    """
+    if isinstance(seed, int | np.integer):
+        return [int(seed) + i for i in range(copies)]
+    given = [None] * copies if seed is None else list(seed)
+    if len(given) != copies:
+        raise ValueError(f"seed must be a number or {copies} of them, one for each copy, got {len(given)}")
+    return [int(rng.integers(2**63)) if s is None else int(s) for s in given]
+
+
+def check_engine(physics: str, arrays: str, arguments: dict[str, Any]) -> str:
+    """The engine of a vector environment; takes what does nothing on MJX out of the other arguments.
+
+    Raises:
+        ValueError: the engine is unknown, or something is asked that it cannot do; says what can be done.
+    """
+    if physics not in ENGINES:
+        raise ValueError(f"physics must be one of {', '.join(ENGINES)}, got {physics!r}")
+    if physics == "c":
+        if arrays != "numpy":
+            raise ValueError(f"arrays must be 'numpy' with physics='c', got {arrays!r}")
+        return physics
+    if arguments.pop("render_mode", None) is not None:
+        raise ValueError(f"render_mode must be None with physics={physics!r}: replay a state on physics='c' to see it")
+    for name in ("camera", "width", "height", "threads"):
+        arguments.pop(name, None)
+    return physics
+
+
+def check_c_physics(physics: str) -> None:
+    """Raise ValueError unless the engine is C MuJoCo, on which alone single environments run."""
+    if physics != "c":
+        raise ValueError(
+            f"physics must be 'c' here, got {physics!r}; 'mjx' and 'warp' step many robots at once: "
+            "gym.make_vec(id, num_envs=N, physics='mjx')"
+        )
 
 
 def check_copies(num_envs: Any) -> int:

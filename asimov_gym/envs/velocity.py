@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
+import gymnasium as gym
+
 from asimov_gym.envs.env import RobotEnv
-from asimov_gym.envs.vector_env import RobotVectorEnv, check_copies
+from asimov_gym.envs.vector_env import RobotVectorEnv, check_c_physics, check_copies, check_engine
 from asimov_gym.envs.velocity_batch import Policy, VelocityBatch
 from asimov_gym.physics import PhysicsProfile
 from asimov_gym.presets import from_mapping
@@ -26,6 +28,7 @@ class VelocityArguments(TypedDict, total=False):
     config: VelocityConfig | Mapping[str, Any] | None
     profile: str | PhysicsProfile
     threads: int | None
+    physics: str
 
 
 class VelocityEnv(RobotEnv):
@@ -83,6 +86,7 @@ class VelocityEnv(RobotEnv):
             refused.
         profile: physics: `evaluation` (full collisions) or `training` (fast: simple contacts of the feet only).
         threads: size of the physics thread pool; None for one for each core, at most one for each copy.
+        physics: `c`; with `gym.make_vec` also `mjx` or `warp`, see `vector_env`.
         render_mode, camera, width, height: see `asimov_gym.envs.env.RobotEnv`; waypoints to come are shown as balls.
 
     Raises:
@@ -121,6 +125,22 @@ class VelocityVectorEnv(RobotVectorEnv):
         super().__init__(_batch(check_copies(num_envs), **arguments), render_mode, camera, width, height)
 
 
+def vector_env(
+    num_envs: int = 1, physics: str = "c", arrays: str = "numpy", **arguments: Any
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """What `gym.make_vec("Asimov-Velocity-v0", num_envs)` makes: arguments as of `VelocityEnv` and
+    `asimov_gym.envs.walk.vector_env`. On MJX the profile is `training`, and the policy is a file, whose network becomes
+    a part of the compiled step, or an `asimov_gym.envs.functional.velocity.Network`."""
+    if check_engine(physics, arrays, arguments) == "c":
+        return VelocityVectorEnv(num_envs, **arguments)
+    from asimov_gym.envs.functional.vector_env import FunctionalVectorEnv
+    from asimov_gym.envs.functional.velocity import FunctionalVelocity
+
+    settings = _settings(*(arguments.pop(name, None) for name in ("config", "waypoints", "episode_s")))
+    env = FunctionalVelocity(settings, arguments.pop("policy", None), physics, **arguments)
+    return FunctionalVectorEnv(env, check_copies(num_envs), arrays)
+
+
 def _batch(
     copies: int,
     *,
@@ -130,8 +150,16 @@ def _batch(
     config: VelocityConfig | Mapping[str, Any] | None = None,
     profile: str | PhysicsProfile = "evaluation",
     threads: int | None = None,
+    physics: str = "c",
 ) -> VelocityBatch:
+    check_c_physics(physics)
+    return VelocityBatch(copies, _settings(config, waypoints, episode_s), policy, profile, threads)
+
+
+def _settings(
+    config: VelocityConfig | Mapping[str, Any] | None, waypoints: int | None, episode_s: float | None
+) -> VelocityConfig:
+    """The configuration that the arguments ask for."""
     settings = config if isinstance(config, VelocityConfig) else from_mapping(VelocityConfig, config or {}, "config")
     given = {"waypoints": waypoints, "episode_s": episode_s}
-    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
-    return VelocityBatch(copies, settings, policy, profile, threads)
+    return replace(settings, **{name: value for name, value in given.items() if value is not None})

@@ -7,17 +7,17 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from asimov_gym.assets import asset_path
 from asimov_gym.envs.batch import BatchStep, Info
+from asimov_gym.envs.spaces import velocity_spaces
 from asimov_gym.envs.streams import CopyStreams
 from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile
 from asimov_gym.policy import Policy, PolicyDriver, joint_gains, load_policy
 from asimov_gym.robot.observation import POLICY_RATE_HZ
 from asimov_gym.tasks.velocity import VelocityConfig, VelocityState, VelocityTask
-from asimov_gym.tasks.velocity.task import COMMAND_LIMIT, OBSERVATION_BOUND, POLICY_STEPS
+from asimov_gym.tasks.velocity.task import POLICY_STEPS
 
 _SHIPPED = ("policies", "asimov_walk.onnx")
 
@@ -57,10 +57,7 @@ class VelocityBatch:
         self._standing = self.physics.standing()[0]
         self.state: VelocityState = self.task.initial_state(np.zeros((copies, self.task.start_draws)))[0]
         self.reading = self.physics.read()
-        bound = OBSERVATION_BOUND.astype(np.float32)
-        self.observation_space = gym.spaces.Box(-bound, bound, dtype=np.float32)
-        limit = COMMAND_LIMIT.astype(np.float32)
-        self.action_space = gym.spaces.Box(-limit, limit, dtype=np.float32)
+        self.observation_space, self.action_space = velocity_spaces()
 
     def seed(self, seeds: Sequence[int]) -> None:
         self._streams = CopyStreams(seeds)
@@ -124,16 +121,27 @@ class VelocityBatch:
 
 
 def _loaded(policy: str | Path | Policy | None) -> Policy:
-    if policy is None:
-        try:
-            policy = asset_path(*_SHIPPED)
-        except FileNotFoundError as error:
-            raise FileNotFoundError(
-                f"policy: none was given, and the shipped walking policy is missing. {error} "
-                "Train one with `python -m train ppo` and pass policy='.../policy.onnx'."
-            ) from error
-    if isinstance(policy, str | Path):
-        policy = load_policy(policy)
+    policy = shipped_policy() if policy is None else policy
+    return check_policy(load_policy(policy) if isinstance(policy, str | Path) else policy)
+
+
+def shipped_policy() -> Path:
+    """File of the shipped walking policy.
+
+    Raises:
+        FileNotFoundError: it is missing; says how to get one.
+    """
+    try:
+        return asset_path(*_SHIPPED)
+    except FileNotFoundError as error:
+        raise FileNotFoundError(
+            f"policy: none was given, and the shipped walking policy is missing. {error} "
+            "Train one with `python -m train ppo` and pass policy='.../policy.onnx'."
+        ) from error
+
+
+def check_policy(policy: Any) -> Policy:
+    """Raise ValueError unless it is a policy that runs at the robot's rate."""
     if not isinstance(policy, Policy):
         raise ValueError(f"policy must be a path to an ONNX file or a loaded policy, got {policy!r}")
     rate = policy.contract.policy_rate_hz

@@ -12,11 +12,11 @@ import numpy as np
 
 from asimov_gym.envs.batch import BatchStep, Info, check_flag
 from asimov_gym.envs.env import RobotEnv
-from asimov_gym.envs.vector_env import RobotVectorEnv, check_copies
+from asimov_gym.envs.spaces import walk_spaces
+from asimov_gym.envs.vector_env import RobotVectorEnv, check_c_physics, check_copies, check_engine
 from asimov_gym.envs.walk_batch import WalkBatch
 from asimov_gym.physics import PhysicsProfile
 from asimov_gym.presets import from_mapping
-from asimov_gym.robot.joints import POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk import WalkConfig
 
 _LIMITS = (("vx", 2.0), ("vy", 1.0), ("wz", 2.0))
@@ -40,6 +40,7 @@ class WalkArguments(TypedDict, total=False):
     kicks: bool
     episode_s: float | None
     threads: int | None
+    physics: str
 
 
 class WalkEnvBatch:
@@ -60,12 +61,10 @@ class WalkEnvBatch:
         kicks: bool = False,
         episode_s: float | None = None,
         threads: int | None = None,
+        physics: str = "c",
     ) -> None:
-        settings = config if isinstance(config, WalkConfig) else _overridden(config)
-        if layout is not None:
-            settings = replace(settings, layout=layout)
-        if episode_s is not None:
-            settings = replace(settings, episode_s=episode_s)
+        check_c_physics(physics)
+        settings = _settings(config, layout, episode_s)
         self._command = None if command is None else check_command("command", command, copies)
         self._batch = WalkBatch(
             settings,
@@ -79,10 +78,7 @@ class WalkEnvBatch:
         )
         self.copies = copies
         self.physics = self._batch.physics
-        bound = self._batch.task.layout.bounds
-        self.observation_space = gym.spaces.Box(-bound, bound, dtype=np.float32)
-        clip = np.float32(settings.action_clip)
-        self.action_space = gym.spaces.Box(-clip, clip, (len(POLICY_JOINT_NAMES),), np.float32)
+        self.observation_space, self.action_space = walk_spaces(self._batch.task)
 
     def seed(self, seeds: Sequence[int]) -> None:
         self._batch.seed_copies(seeds)
@@ -171,6 +167,7 @@ class WalkEnv(RobotEnv):
         kicks: kick the pelvis every few seconds. Off by default.
         episode_s: length of an episode in s; None for the configuration's.
         threads: size of the physics thread pool; None for one for each core, at most one for each copy.
+        physics: `c`; with `gym.make_vec` also `mjx` or `warp`, see `vector_env`.
         render_mode, camera, width, height: see `asimov_gym.envs.env.RobotEnv`.
 
     Raises:
@@ -201,6 +198,45 @@ class WalkVectorEnv(RobotVectorEnv):
         **arguments: Unpack[WalkArguments],
     ) -> None:
         super().__init__(WalkEnvBatch(check_copies(num_envs), **arguments), render_mode, camera, width, height)
+
+
+def vector_env(
+    num_envs: int = 1, physics: str = "c", arrays: str = "numpy", **arguments: Any
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """What `gym.make_vec("Asimov-Walk-v0", num_envs)` makes.
+
+    Args:
+        num_envs: number of copies.
+        physics: `c` (C MuJoCo on a thread pool), `mjx` (MJX on its jax backend: CPU, GPU or TPU) or `warp` (MJX on its
+            warp backend, NVIDIA). The last two need `pip install 'asimov-gym[mjx]'`, run the profile `training` only,
+            and do not render.
+        arrays: `numpy`, or with `mjx` and `warp` also `device`: JAX arrays where they are, also in `info`.
+        arguments: as of `WalkEnv`.
+
+    Raises:
+        ValueError: an argument is unknown or out of range; names it and what is allowed.
+        ModuleNotFoundError: what the engine needs is not installed.
+    """
+    if check_engine(physics, arrays, arguments) == "c":
+        return WalkVectorEnv(num_envs, **arguments)
+    from asimov_gym.envs.functional.vector_env import FunctionalVectorEnv
+    from asimov_gym.envs.functional.walk import FunctionalWalk
+
+    copies = check_copies(num_envs)
+    settings = _settings(*(arguments.pop(name, None) for name in ("config", "layout", "episode_s")))
+    command = arguments.pop("command", None)
+    flags = {name: check_flag(name, arguments.pop(name, False)) for name in ("randomise", "noise", "kicks")}
+    command = None if command is None else check_command("command", command, copies)
+    env = FunctionalWalk(settings, physics, command=command, **flags, **arguments)
+    checks = {"command": lambda value: check_command("options['command']", value, copies)}
+    return FunctionalVectorEnv(env, copies, arrays, checks)
+
+
+def _settings(config: WalkConfig | Mapping[str, Any] | None, layout: str | None, episode_s: float | None) -> WalkConfig:
+    """The configuration that the arguments ask for."""
+    settings = config if isinstance(config, WalkConfig) else _overridden(config)
+    given = {"layout": layout, "episode_s": episode_s}
+    return replace(settings, **{name: value for name, value in given.items() if value is not None})
 
 
 def _overridden(config: Mapping[str, Any] | None) -> WalkConfig:

@@ -4,12 +4,22 @@ from asimov_gym.firmware.alerts import CLEAR_DELAY_US, UNITS, Alert, AlertBoard
 from asimov_gym.firmware.battery import Battery, BatteryConfig, BatteryState
 from asimov_gym.firmware.can_bus import ANSWER_AGE_S, BUS_NAMES, BUSES, BusCounters, CanConfig
 from asimov_gym.firmware.clock import MICROSECONDS, Clock, StepClock, WallClock
-from asimov_gym.firmware.commands import Command, Damp, Stand, Trajectory, Velocity
+from asimov_gym.firmware.commands import Command, Damp, Freeze, Stand, Stream, Trajectory, Velocity
 from asimov_gym.firmware.condition import Condition
 from asimov_gym.firmware.config import FirmwareConfig
 from asimov_gym.firmware.faults import FaultInjector
 from asimov_gym.firmware.firmware import Firmware, Receipt
 from asimov_gym.firmware.gantry import Gantry, GantryConfig, GantryMode, HandSetting
+from asimov_gym.firmware.joint_command import Advice, JointCommand, JointGains
+from asimov_gym.firmware.joint_control import (
+    Echo,
+    JointControl,
+    JointControlConfig,
+    JointFault,
+    Refusal,
+    RunEnd,
+)
+from asimov_gym.firmware.joint_sample import JointSample
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.firmware.modes import HELD, TRANSITIONS, Hold, Mode, Outcome, State, Transition, Trigger, transition
 from asimov_gym.firmware.motors import MotorConfig, Motors
@@ -27,6 +37,7 @@ __all__ = [
     "MICROSECONDS",
     "TRANSITIONS",
     "UNITS",
+    "Advice",
     "Alert",
     "AlertBoard",
     "AlertId",
@@ -40,10 +51,12 @@ __all__ = [
     "Condition",
     "CycleTime",
     "Damp",
+    "Echo",
     "FaultInjector",
     "Firmware",
     "FirmwareConfig",
     "FirmwareState",
+    "Freeze",
     "Gantry",
     "GantryConfig",
     "GantryMode",
@@ -51,6 +64,12 @@ __all__ = [
     "Hold",
     "InferenceConfig",
     "InferenceTime",
+    "JointCommand",
+    "JointControl",
+    "JointControlConfig",
+    "JointFault",
+    "JointGains",
+    "JointSample",
     "Linkage",
     "Mode",
     "MotorConfig",
@@ -59,10 +78,13 @@ __all__ = [
     "PolicyControl",
     "PolicyFault",
     "Receipt",
+    "Refusal",
+    "RunEnd",
     "Severity",
     "Stand",
     "State",
     "StepClock",
+    "Stream",
     "Trajectory",
     "Transition",
     "Trigger",

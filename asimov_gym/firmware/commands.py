@@ -1,4 +1,4 @@
-"""What the firmware takes from the edge: four commands, already checked, in SI units and joint order."""
+"""What the firmware takes from the edge: its commands, already checked, in SI units and joint order."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from asimov_gym.robot.joints import JOINT_NAMES
 class Damp:
     """Go limp."""
 
+    limp: bool = False
+    """Without the damping too: no torque at all. The robot's own interface never asks for it."""
     trigger = Trigger.DAMP
 
 
@@ -79,4 +81,18 @@ def _check_timeout(seconds: float | None) -> None:
         raise ValueError(f"timeout_s must be None or a finite number > 0, got {seconds!r}")
 
 
-Command = Damp | Stand | Velocity | Trajectory
+@dataclass(frozen=True)
+class Stream:
+    """Give the joints to the stream of joint commands; see `asimov_gym.firmware.joint_control`."""
+
+    trigger = Trigger.TRAJECTORY
+
+
+@dataclass(frozen=True)
+class Freeze:
+    """Hold every joint where it is, with the robot's own gains, until another command. Nothing balances the robot."""
+
+    trigger = Trigger.TRAJECTORY
+
+
+Command = Damp | Stand | Velocity | Trajectory | Stream | Freeze

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from asimov_gym.firmware.battery import BatteryConfig
 from asimov_gym.firmware.can_bus import CanConfig
 from asimov_gym.firmware.gantry import GantryConfig
+from asimov_gym.firmware.joint_control import JointControlConfig
 from asimov_gym.firmware.motors import MotorConfig
 from asimov_gym.firmware.policy_control import InferenceConfig
 from asimov_gym.robot.ankle import FORMS, Form
@@ -59,6 +60,7 @@ class FirmwareConfig:
     aged_readings: bool = False
     """Whether each joint reading is as old as its motor's polling slot makes it, up to 7.5 ms; see `can_bus`."""
     inference: InferenceConfig = field(default_factory=InferenceConfig)
+    joint_control: JointControlConfig = field(default_factory=JointControlConfig)
     can: CanConfig = field(default_factory=CanConfig)
     battery: BatteryConfig = field(default_factory=BatteryConfig)
     gantry: GantryConfig = field(default_factory=GantryConfig)

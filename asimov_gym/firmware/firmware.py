@@ -1,4 +1,8 @@
-"""The 200 Hz loop of the robot: commands in, joint targets to the physics, a state snapshot out."""
+"""The 200 Hz loop of the robot: commands in, joint targets to the physics, a state snapshot out.
+
+While joint control is open, each control step of 5 ms is five physics steps of 1 ms, with the law of the joint targets
+run in each. Everything else, faults, time-outs, network and reports, keeps its rate.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +19,13 @@ from asimov_gym.firmware.alerts import AlertBoard
 from asimov_gym.firmware.battery import Battery
 from asimov_gym.firmware.can_bus import CanBuses
 from asimov_gym.firmware.clock import MICROSECONDS, Clock, StepClock
-from asimov_gym.firmware.commands import Command, Stand, Trajectory, Velocity
+from asimov_gym.firmware.commands import Command, Damp, Freeze, Stand, Stream, Trajectory, Velocity
 from asimov_gym.firmware.condition import Condition
 from asimov_gym.firmware.config import FirmwareConfig
 from asimov_gym.firmware.faults import FaultInjector
 from asimov_gym.firmware.gantry import Gantry
+from asimov_gym.firmware.joint_control import JointControl, RunEnd
+from asimov_gym.firmware.joint_sample import JointSample, JointSampler
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.firmware.modes import Outcome, State, Transition, Trigger, transition
 from asimov_gym.firmware.motors import Motors
@@ -37,6 +43,9 @@ from asimov_gym.robot.joints import JOINT_NAMES, STAND_POSITION
 
 _log = logging.getLogger(__name__)
 
+_TO_DAMP = (Trigger.DAMP, Trigger.SILENCE, Trigger.FAULT, Trigger.E_STOP)
+FAST_STEP_S = 0.001
+"""Physics step while joint control is open, s."""
 _ENCODER_ERROR = 5
 """What a motor driver answers when its encoder fails."""
 
@@ -54,7 +63,7 @@ class Firmware:
     """The robot's firmware on a simulated robot.
 
     Boots in DAMP, hanging from the gantry in the standing pose. `command` takes effect at once, `tick` runs one control
-    step of 5 ms. Faults are injected through `faults`.
+    step of 5 ms, or a fifth of one while `fast`. Faults are injected through `faults`, joint commands go to `joints`.
 
     Args:
         physics: one robot.
@@ -88,6 +97,13 @@ class Firmware:
         self.policy = None if policy is None else PolicyControl(policy, c.inference, self.linkage, realtime)
         self.faults = FaultInjector(self)
         """Where the robot is broken on purpose."""
+        self.joints = JointControl(self.linkage, c.joint_control)
+        """Where joint commands go."""
+        self._sampler = JointSampler(self.linkage, c.joint_control.contact_force)
+        self.fast = False
+        """Whether the physics runs at 1 kHz from the next control step on."""
+        self.period_us = round(physics.timestep * MICROSECONDS)
+        """Length of a control step, microseconds."""
         self.seed = seed
         self._sensing = Sensing(self.linkage, physics.timestep, c.aged_readings)
         self._safety = Safety(c)
@@ -120,7 +136,15 @@ class Firmware:
         self._buses.reset()
         self._watchdog.reset()
         self._trajectories.reset()
+        self.joints.reset()
+        self._step_us, self._spent_s = 0, 0.0
+        self._diverged = False
+        self._walk: JointTarget | None = None
         self._state = State.DAMP
+        self._changes: list[tuple[State, State]] = []
+        self.damped_by: Trigger | None = None
+        """What led to DAMP last, or was there to keep the robot in it; None since the boot."""
+        self._limp = False
         self._entered_us = 0
         self._look()
         self._motor_torque = self.linkage.motor_torque(self._reading.joint_torque[0], self._reading.joint_position[0])
@@ -171,6 +195,26 @@ class Firmware:
         return self.clock.now_us() - self._boot_us
 
     @property
+    def limp(self) -> bool:
+        """Whether the robot is in DAMP without torque, as asked for by `Damp(limp=True)`."""
+        return self._limp and self._state is State.DAMP
+
+    @property
+    def rising(self) -> bool:
+        """Whether STAND is still on its ramp to the standing pose."""
+        return self._state is State.STAND and self._ramp(self.now_us) < 1.0
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """What the robot walks by from the next policy step on: vx, vy (m/s), yaw rate (rad/s), (3,)."""
+        return self._velocity
+
+    @property
+    def foot_load(self) -> np.ndarray:
+        """What the ground carries under the left and the right foot, N, (2,). Not a reading of the robot's."""
+        return self._reading.foot_force[0, :, 2]
+
+    @property
     def trajectory(self) -> Trajectory | None:
         """The last trajectory taken in this boot."""
         return self._trajectories.last
@@ -178,16 +222,25 @@ class Firmware:
     def command(self, command: Command) -> Receipt:
         """Take a checked command; the mode changes at once, the joints from the next tick on."""
         trigger = command.trigger
+        if isinstance(command, Stream) and self.joints.fault is not None:
+            return Receipt(Outcome.JOINT_FAULT)
         if trigger is Trigger.VELOCITY and self.policy is None and self._state is not State.DAMP:
             return Receipt(Outcome.NO_POLICY)
         result = self._fire(trigger)
         if result.outcome is not Outcome.TAKEN:
             return Receipt(result.outcome)
         clamped = False
-        if isinstance(command, Velocity):
+        if isinstance(command, Damp):
+            self._limp = command.limp
+        elif isinstance(command, Velocity):
             clamped = self._hold_velocity(command)
         elif isinstance(command, Trajectory):
+            self.joints.end(RunEnd.OVERRIDDEN)
             self._trajectories.take(command, self.alerts, self.now_us)
+        elif isinstance(command, Stream):
+            self.joints.begin(self._sense.reading.joint_position[0], self.clock.now_us())
+        elif isinstance(command, Freeze):
+            self.joints.freeze(self._sense.reading.joint_position[0])
         elif isinstance(command, Stand) and self._state is State.DAMP:
             reason = "the E-stop is pressed" if self.e_stopped else f"error_flags 0x{self.alerts.error_flags:x}"
             _log.info("STAND has no effect: %s", reason)
@@ -212,6 +265,8 @@ class Firmware:
     def _fire(self, trigger: Trigger) -> Transition:
         """Run the mode machine."""
         result = transition(self._state, trigger, self.alerts.latched, self.e_stopped)
+        if trigger in _TO_DAMP:
+            self.damped_by, self._limp = trigger, False
         if result.state is not self._state:
             if trigger in (Trigger.SILENCE, Trigger.E_STOP):  # a change that no command and no other alert explains
                 self.alerts.set(AlertId.MODE_CHANGE, self.now_us, result.state.mode, self._state.mode)
@@ -220,13 +275,18 @@ class Firmware:
 
     def _enter(self, state: State, trigger: Trigger) -> None:
         _log.info("%s -> %s on %s", self._state.value, state.value, trigger.value)
+        self._changes.append((self._state, state))
         self._state = state
         self._entered_us = self.now_us
         self._entry_position = self._sense.reading.joint_position
         self._hold_velocity(None)
+        if state is not State.TRAJECTORY:
+            stopped = trigger in (Trigger.FAULT, Trigger.E_STOP)
+            self.joints.end(RunEnd.STOPPED if stopped else RunEnd.OVERRIDDEN)
         if state is State.POLICY:
             assert self.policy is not None
             self.policy.reset()
+            self._walk = None
 
     def _hold_velocity(self, command: Velocity | None) -> bool:
         """Walk by a command, None for zero. True if it was clamped to the policy's range."""
@@ -246,16 +306,26 @@ class Firmware:
     # -- the loop ----------------------------------------------------------------------------------
 
     def tick(self) -> FirmwareState:
-        """Run one control step and return the robot's state after it."""
+        """Run one control step, or a fifth of one while `fast`, and return the robot's state after the last whole one.
+
+        The clock stands at the end of the step already. `between_steps` says whether the control step is done.
+        """
         start = time.perf_counter()
         clock_us = self.clock.now_us()
-        now, dt = clock_us - self._boot_us, self.physics.timestep
-        self.faults.update(clock_us)
-        condition = self.faults.condition
+        now, first = clock_us - self._boot_us, self.between_steps
+        if first:
+            self.physics.set_timestep(self.step_us / MICROSECONDS)
+            self.faults.update(clock_us)
+        condition, dt = self.faults.condition, self.physics.timestep
         self._look()  # anew: someone may have pushed or moved the robot since
-        self._watch(condition, now, clock_us)
-        target = self._machine_target(self._joint_target(condition, now), condition)
-        self._sensing.remember(self._reading, self.motors.current, self.motors.temperature)
+        if first:
+            self._watch(condition, now, clock_us)
+        self._watch_joints(clock_us)
+        if first and self._state is State.POLICY:
+            self._walk = self._policy_target(condition, now)
+        target = self._machine_target(self._joint_target(now), condition)
+        if first:
+            self._sensing.remember(self._reading, self.motors.current, self.motors.temperature)
         wrench = self.gantry.wrench(self._state, self._ramp(now), self._reading, dt)
         self._reading = self.physics.step(target, 1, _sum_wrenches(wrench, condition.wrench))
         position = self._reading.joint_position[0]
@@ -265,10 +335,33 @@ class Firmware:
             speed = self.linkage.motor_velocity(self._reading.joint_velocity[0], position)
             self.battery.sample(self._motor_torque, speed)
         self._sense = self._sensing.look(self._reading, self.motors.current, self.motors.temperature, condition)
-        self.ticks += 1
-        self.snapshot = self._snapshot()
-        self._watchdog.add(time.perf_counter() - start)
+        self._diverged |= bool(self.physics.diverged[0])
+        self._step_us += round(dt * MICROSECONDS)
+        self._spent_s = time.perf_counter() - start + (0.0 if first else self._spent_s)
+        if self._step_us >= self.period_us:
+            self._step_us = 0
+            self.ticks += 1
+            self.snapshot = self._snapshot()
+            self._changes.clear()
+            self._watchdog.add(self._spent_s)
         return self.snapshot
+
+    @property
+    def between_steps(self) -> bool:
+        """Whether no control step is under way."""
+        return self._step_us == 0
+
+    @property
+    def step_us(self) -> int:
+        """Length of the next step, microseconds: of the whole control step, or of a fifth of it while `fast`."""
+        if self.between_steps:
+            return round(FAST_STEP_S * MICROSECONDS) if self.fast else self.period_us
+        return round(self.physics.timestep * MICROSECONDS)
+
+    def joint_sample(self) -> JointSample:
+        """The robot now, as joint control reports it."""
+        felt = self.physics.specific_force()[0] if self.faults.condition.imu_since_us is None else None
+        return self._sampler.sample(self.clock.realtime_us(), self._reading, self._sense.reading, felt, self.joints)
 
     def _look(self) -> None:
         """Sense the robot as it is now."""
@@ -287,35 +380,47 @@ class Firmware:
         if condition.encoder_fault is not None:
             for motor in np.flatnonzero(condition.encoder_fault).tolist():
                 latched |= board.set(AlertId.MOTOR_ENCODER_ERROR, now, _ENCODER_ERROR, source=motor)
-        if self.physics.diverged[0]:
+        if self._diverged:
+            self._diverged = False
             _log.error("the simulation diverged and the robot was put back on its feet: latching DAMP")
             latched |= board.set(AlertId.WATCHDOG_TIMEOUT, now)
         if latched:
             self._fire(Trigger.FAULT)
-        if self._state is State.TRAJECTORY and self._trajectories.silent(now):
+        if self._state is State.TRAJECTORY and not self.joints.drives and self._trajectories.silent(now):
             self._fire(Trigger.SILENCE)
         if self._velocity_until_us is not None and now >= self._velocity_until_us:
             self._hold_velocity(None)
         board.expire(now)
+
+    def _watch_joints(self, clock_us: int) -> None:
+        """Joint commands that run out, and joints that are too fast for them."""
+        if not self.joints.running:
+            return
+        ended = self.joints.check(self._sense.reading.joint_velocity[0], clock_us, self.clock.realtime_us())
+        if ended is None:
+            return
+        _log.info("joint control ends: %s", ended.value)
+        self._fire(Trigger.SILENCE)  # for whatever reason: the joints have no target any more
 
     def _ramp(self, now: int) -> float:
         """Share of the stand ramp that is done, 0 to 1."""
         ramp_us = self.config.stand_ramp_s * MICROSECONDS
         return 1.0 if ramp_us <= 0.0 else min(1.0, (now - self._entered_us) / ramp_us)
 
-    def _joint_target(self, condition: Condition, now: int) -> JointTarget:
+    def _joint_target(self, now: int) -> JointTarget:
         """What the mode asks of the joints."""
-        target = self._policy_target(condition, now) if self._state is State.POLICY else None
-        # Asked anew: a policy fault may just have taken the robot to DAMP.
         match self._state:
             case State.DAMP:
-                return JointTarget(self._sense.reading.joint_position, kp=self._damp_kp, kd=self._damp_kd)
+                kd = self._damp_kp if self._limp else self._damp_kd
+                return JointTarget(self._sense.reading.joint_position, kp=self._damp_kp, kd=kd)
             case State.STAND:
                 start = self._entry_position
                 return JointTarget(start + self._ramp(now) * (self._stand - start))
+            case State.TRAJECTORY if self.joints.drives:
+                return self.joints.target(self._sense.reading.joint_position[0], self.clock.now_us())
             case State.TRAJECTORY:
                 return self._trajectories.target
-        return JointTarget(self._entry_position) if target is None else target
+        return JointTarget(self._entry_position) if self._walk is None else self._walk
 
     def _policy_target(self, condition: Condition, now: int) -> JointTarget | None:
         """Ask the network; a failing, runaway or missing one latches DAMP."""
@@ -348,6 +453,7 @@ class Firmware:
             tick=self.ticks - self._boot_ticks,
             timestamp_us=self.now_us,
             state=self._state,
+            changes=tuple(self._changes),
             e_stop=self.e_stopped,
             joint_position=seen.joint_position[0],
             joint_velocity=seen.joint_velocity[0],

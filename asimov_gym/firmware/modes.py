@@ -83,6 +83,7 @@ class Outcome(Enum):
     LATCHED = "dropped: a fault is latched"
     NO_POLICY = "dropped: no policy is loaded"
     E_STOPPED = "dropped: the E-stop is pressed"
+    JOINT_FAULT = "dropped: the fault of joint control is not cleared"
 
 
 class Hold(Enum):

@@ -30,6 +30,9 @@ class FirmwareState:
     timestamp_us: int
     """Firmware clock: microseconds since this boot."""
     state: State
+    changes: tuple[tuple[State, State], ...]
+    """What the machine went through since the control step before, from and to: a command may be undone by the next
+    one before any control step sees it."""
     e_stop: bool
     """Whether the E-stop is pressed."""
     joint_position: np.ndarray

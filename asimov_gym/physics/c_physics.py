@@ -145,6 +145,24 @@ class CPhysics:
         self._reading = None
         return self._view()
 
+    def set_timestep(self, seconds: float) -> None:
+        """Physics step from now on, s; the state, solver start included, stays.
+
+        Raises:
+            ValueError: it is not above 0.
+        """
+        if not seconds > 0.0:
+            raise ValueError(f"timestep must be above 0 s, got {seconds}")
+        if seconds == self.timestep:
+            return
+        self.timestep = seconds
+        for model in (self.model, *(self._models or ())):
+            model.opt.timestep = seconds
+
+    def specific_force(self) -> np.ndarray:
+        """What the accelerometer feels at the start of the last physics step, its site's frame, m/s², (N, 3)."""
+        return self._sensed[:, self._sensors.accelerometer]
+
     def set_parameters(self, parameters: BodyParameters, copies: np.ndarray | None = None) -> None:
         """Give copies their own body figures. The arrays have one row per copy of the whole batch."""
         if self._models is None:

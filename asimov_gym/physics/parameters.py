@@ -18,15 +18,15 @@ _TORSO = "waist_yaw_link"
 class BodyParameters:
     """Figures of N robots; None leaves the model's own. The defaults of the model are 1, 1, 1, 0 and 0."""
 
-    foot_friction: np.ndarray | None = None
+    foot_friction: Any | None = None
     """Sliding friction of the soles, (N,)."""
-    kp_scale: np.ndarray | None = None
+    kp_scale: Any | None = None
     """Factor on the position gains, joint order, (N, 25)."""
-    kd_scale: np.ndarray | None = None
+    kd_scale: Any | None = None
     """Factor on the damping gains, joint order, (N, 25)."""
-    torso_mass: np.ndarray | None = None
+    torso_mass: Any | None = None
     """Mass added to the torso at its centre of mass, kg, (N,)."""
-    torso_com: np.ndarray | None = None
+    torso_com: Any | None = None
     """Shift of the torso's centre of mass, body frame, m, (N, 3)."""
 
     @classmethod

@@ -32,7 +32,8 @@ class JointPlaces:
 
 
 class SensorPlaces:
-    """Torques of the joints, joint order, and vectors of the two feet, left before right, in a row of sensor values."""
+    """Torques of the joints, joint order, vectors of the two feet, left before right, and the accelerometer, in a row
+    of sensor values."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         def places(*names: str) -> Places:
@@ -47,3 +48,4 @@ class SensorPlaces:
         self.foot_velocity = feet("velocity")
         self.foot_up = feet("up")
         self.foot_force = feet("force")
+        self.accelerometer = places("imu_accelerometer")

@@ -12,6 +12,9 @@ TIMESTEP = 0.005
 DECIMATION = 4
 """Physics steps per policy step: the policy runs at 50 Hz."""
 
+ENGINES = ("c", "mjx", "warp")
+"""What simulates it: MuJoCo in C on a thread pool, or MJX on its jax backend (any device) or warp backend (NVIDIA)."""
+
 
 @dataclass(frozen=True)
 class PhysicsProfile:

@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 
 from asimov_gym.assets import asset_path
-from asimov_gym.edge import Client, Code, Dialect, EdgeListener, SimulatedRobot, Source, Verdict
+from asimov_gym.edge import Client, Code, Dialect, EdgeListener, SimulatedRobot, Source
+from asimov_gym.edge.motion_modes_service import KINDS as MOTION_MODE_KINDS
+from asimov_gym.edge.motion_modes_service import MotionModes
 from asimov_gym.edge.verdict import DropReason
 from asimov_gym.edge.wire import cloud_pb2
 from asimov_gym.firmware import MICROSECONDS, StepClock
@@ -161,6 +163,9 @@ class _Run(EdgeListener):
         self._commands = 0
         self._changed_verdicts = 0
         self._untouchable: Counter[str] = Counter()
+        self._joint_control = False
+        self._motion_modes = MotionModes(robot.edge)
+        self._motion_modes.start()
         robot.edge.attach(self)
 
     def on_telemetry(self, timestamp_us: int, packet: bytes) -> None:
@@ -187,13 +192,21 @@ class _Run(EdgeListener):
             self._steps = steps
 
     def _send(self, command: Any) -> None:
-        self._commands += 1
         source = Source[command.source] if command.source else Source.IN_PROCESS
+        if source is Source.JOINT_CONTROL:  # in messages that only its own lane can read, which is an optional one
+            if not self._joint_control:
+                self._joint_control = True
+                self._left_out.append("joint control: its messages are not sent again")
+            return
+        self._commands += 1
         dialects = tuple(Dialect(name) for name in command.client_dialects) or (Dialect.CLOUD,)
         client = self._clients[command.client] = Client(source, command.client, dialects)
-        # Only a streamed command can be stale, and one that was not stale did the same as a reliable one.
-        stale = command.verdict == DropReason.STALE.name
-        verdict: Verdict = self._robot.edge.receive(command.payload, client, streamed=stale)
+        if command.kind in MOTION_MODE_KINDS:
+            verdict = self._motion_modes.repeat(command.payload)
+        else:
+            # Only a streamed command can be stale, and one that was not stale did the same as a reliable one.
+            stale = command.verdict == DropReason.STALE.name
+            verdict = self._robot.edge.receive(command.payload, client, streamed=stale)
         self._changed_verdicts += str(verdict) != command.verdict
 
     def _repeat_event(self, event: cloud_pb2.EdgeEvent, time: float) -> None:

@@ -102,3 +102,12 @@ def test_a_listener_that_fails_stops_neither_the_robot_nor_the_others(robot, ses
     assert [record.message for record in caplog.records if record.levelname == "ERROR"] == [
         "Broken failed as a listener; its further failures are not told"
     ]
+
+
+def test_a_mode_that_no_control_step_saw_is_told_too(robot, session) -> None:
+    robot.advance(0.005)
+    list(session.events())
+    session.stand()
+    session.damp()
+    robot.advance(0.005)
+    assert errors(session) == [("mode_change", "DAMP -> STAND"), ("mode_change", "STAND -> DAMP")]

@@ -239,7 +239,7 @@ def test_async_session(robot) -> None:
             return [event.error.code async for event in session.events(timeout=0.02)]
 
     codes = asyncio.run(drive())
-    assert codes.count("mode_change") == 3
+    assert codes.count("mode_change") == 4  # the velocity's, too, which lasted no control step
     assert robot.edge.control.holder is None
 
 
@@ -272,9 +272,9 @@ def test_overload_is_reported(make_robot, monkeypatch: pytest.MonkeyPatch) -> No
     robot = make_robot(clock=WallClock())
     step, gate = robot._step, threading.Event()
 
-    def slow_step() -> None:
+    def slow_step() -> int:
         gate.wait(0.02)
-        step()
+        return step()
 
     monkeypatch.setattr(robot, "_step", slow_step)
     with connect(robot) as session:

@@ -133,8 +133,16 @@ def test_velocity_without_a_policy_is_dropped(make_robot) -> None:
 
 
 def test_every_drop_reason_is_tested() -> None:
-    files = ("test_validation.py", "test_io_dialect.py", "test_control.py")
-    text = "".join(Path(__file__).with_name(name).read_text() for name in files)
+    files = (
+        "test_validation.py",
+        "test_io_dialect.py",
+        "test_control.py",
+        "test_motion_modes.py",
+        "test_motion_modes_input.py",
+        "test_joint_control.py",
+        "../interop/test_joint_control_client.py",
+    )
+    text = "".join((Path(__file__).parent / name).read_text() for name in files)
     assert [reason.name for reason in DropReason if f"DropReason.{reason.name}" not in text] == []
 
 
