@@ -161,7 +161,7 @@ def engine_findings(seconds: float) -> list[Finding]:
             "MJX (JAX)",
             ("jax", "mujoco.mjx"),
             "import jax, mujoco.mjx; print('jax', jax.__version__, 'on', jax.default_backend())",
-            "pip install jax mujoco-mjx",
+            extra_line("mjx"),
         )
     )
     return found
@@ -235,6 +235,13 @@ def lane_findings() -> list[Finding]:
             ("aiohttp", "aiortc", "jwt"),
             "import asimov_gym.room; from importlib.metadata import version; print('aiortc', version('aiortc'))",
             extra_line("room"),
+        ),
+        _imported(
+            "joint control",
+            ("bosdyn", "grpc"),
+            "import bosdyn.api, grpc; from importlib.metadata import version; "
+            "print('bosdyn-api', version('bosdyn-api') + ', under a licence of its own')",
+            extra_line("joint-control"),
         ),
         _imported(
             "ROS 2",

@@ -40,7 +40,7 @@ class RecordedCommand(_message.Message):
     payload: _builtins.bytes
     """the packet, unchanged"""
     kind: _builtins.str
-    """"velocity", "trajectory", "mode", "eol", or empty when it could not be told"""
+    """"velocity", "trajectory", "mode", "eol", "joint_..." or "motion_...", or empty when it could not be told"""
     verdict: _builtins.str
     """"accepted", or the reason it was dropped"""
     source: _builtins.str
