@@ -8,11 +8,11 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from asimov_gym.edge import Dialect, SimulatedRobot
 from asimov_gym.edge.console import Console
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.status import robot_status
 from asimov_gym.edge.transports import TransportError
 from asimov_gym.edge.transports.facts_server import FACTS_PORT, FactsServer
@@ -61,7 +61,7 @@ class JointControlOptions:
     listen: str = "127.0.0.1"
 
 
-class RobotService:
+class RobotService(Lifecycle):
     """Runs one robot between `start` and `stop`, or as a context manager.
 
     Args:
@@ -168,15 +168,6 @@ class RobotService:
         """
         stack, self._open = self._open, ExitStack()
         stack.close()
-
-    def __enter__(self) -> RobotService:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
     # -- what it says of itself ----------------------------------------------------------------------
 

@@ -19,11 +19,11 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from asimov_gym.edge.console_actions import read_action
 from asimov_gym.edge.events import Code
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.robot import SimulatedRobot
 from asimov_gym.edge.status import robot_status
 from asimov_gym.edge.transports import TransportError
@@ -39,7 +39,7 @@ IDLE_S = 60.0
 _POLL_S = 0.05
 
 
-class Console:
+class Console(Lifecycle):
     """Takes requests for one robot on a Unix socket.
 
     The socket lies in a folder that only the owner may enter, and every caller's user is looked at where the system
@@ -105,15 +105,6 @@ class Console:
                     connection.shutdown(socket.SHUT_RDWR)
         self.path.unlink(missing_ok=True)
         self._unlock()
-
-    def __enter__(self) -> Console:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
     def _unlock(self) -> None:
         if self._lock_file is not None:

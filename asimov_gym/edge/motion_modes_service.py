@@ -10,13 +10,14 @@ import json
 import logging
 import math
 from collections.abc import Callable, Mapping
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from asimov_gym.edge.control import Client, Source
 from asimov_gym.edge.edge import Edge
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.listener import EdgeListener
 from asimov_gym.edge.motion_modes import (
     LIMP,
@@ -85,7 +86,7 @@ _COMMANDS: Mapping[MotionMode, Command] = MappingProxyType(
 )
 
 
-class MotionModes(EdgeListener):
+class MotionModes(Lifecycle, EdgeListener):
     """Serves the motion-mode messages between `start` and `stop`, or as a context manager. Several lanes share one.
 
     Args:
@@ -122,15 +123,6 @@ class MotionModes(EdgeListener):
         """Leave the robot: control is free if it was ours, and it stops walking. Stopping twice does nothing more."""
         self._edge.detach(self)
         self._edge.leave(CLIENT)
-
-    def __enter__(self) -> MotionModes:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
     # -- what lanes use ----------------------------------------------------------------------------
 

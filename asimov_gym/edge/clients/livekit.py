@@ -11,8 +11,8 @@ from typing import Any
 from asimov_gym.edge.clients.link import LinkReceiver
 from asimov_gym.edge.clients.livekit_session import COMMANDS_WAITING, ROBOT_TIMEOUT_S, RoomSession
 from asimov_gym.edge.control import Dialect
+from asimov_gym.edge.loop_thread import LoopThread
 from asimov_gym.edge.transports.livekit_join import LEAVE_TIMEOUT_S, JoinError, RoomAddress, hide_token, load_rtc
-from asimov_gym.edge.transports.livekit_thread import LoopThread
 
 CLOSE_TIMEOUT_S = 10.0
 """For the last commands to go out and the room to be left."""

@@ -11,10 +11,10 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from http import HTTPStatus
-from types import TracebackType
 from typing import Any
 
 from asimov_gym.edge.facts import facts
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.transports import TransportError
 from asimov_gym.edge.transports.udp import check_port, is_loopback
 
@@ -35,7 +35,7 @@ _END = b"\r\n\r\n"
 _log = logging.getLogger(__name__)
 
 
-class FactsServer:
+class FactsServer(Lifecycle):
     """Tells the robot's facts between `start` and `stop`, or as a context manager.
 
     Every request has a connection, a thread and 2 s of its own, at most 16 at a time, so that slow or silent clients
@@ -101,15 +101,6 @@ class FactsServer:
         self._server.server_close()
         self._thread.join()
         self._server = self._thread = None
-
-    def __enter__(self) -> FactsServer:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
 
 class _Server(socketserver.ThreadingTCPServer):

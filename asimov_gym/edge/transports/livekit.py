@@ -7,16 +7,17 @@ import logging
 import random
 import threading
 from contextlib import suppress
-from types import ModuleType, TracebackType
+from types import ModuleType
 
 from asimov_gym.edge.control import Dialect
 from asimov_gym.edge.edge import Edge
 from asimov_gym.edge.events import Code
+from asimov_gym.edge.lifecycle import Lifecycle
+from asimov_gym.edge.loop_thread import LoopThread
 from asimov_gym.edge.transports import TransportError
 from asimov_gym.edge.transports.livekit_join import JoinError, RoomAddress, hidden_traceback, hide_token, load_rtc
 from asimov_gym.edge.transports.livekit_media import Media, RoomMedia
 from asimov_gym.edge.transports.livekit_outbox import Outbox
-from asimov_gym.edge.transports.livekit_thread import LoopThread
 from asimov_gym.edge.transports.livekit_visit import RoomVisit
 from asimov_gym.edge.wire import cloud_pb2
 
@@ -50,7 +51,7 @@ class Backoff:
         return wait * self._dice.uniform(0.5, 1.0)
 
 
-class LiveKitLane:
+class LiveKitLane(Lifecycle):
     """Serves one edge in a LiveKit room between `start` and `stop`, or as a context manager.
 
     | dialect | message | lane |
@@ -154,15 +155,6 @@ class LiveKitLane:
             thread.cancel()
             thread.join(STOP_TIMEOUT_S)
         self._thread = None
-
-    def __enter__(self) -> LiveKitLane:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
     # -- in the thread -------------------------------------------------------------------------------------
 

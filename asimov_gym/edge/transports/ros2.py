@@ -11,9 +11,9 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.motion_modes_messages import SERVICES, TOPICS, Service
 from asimov_gym.edge.motion_modes_service import MotionModes
 from asimov_gym.edge.transports import TransportError
@@ -63,7 +63,7 @@ class _Reply:
     deadline: float
 
 
-class Ros2Lane:
+class Ros2Lane(Lifecycle):
     """Serves motion modes in a DDS domain between `start` and `stop`, or as a context manager.
 
     Args:
@@ -115,15 +115,6 @@ class Ros2Lane:
         self._endpoints.end()
         self._thread.join()
         self._thread = self._endpoints = None
-
-    def __enter__(self) -> Ros2Lane:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
 
 class _Endpoints:

@@ -13,16 +13,16 @@ import re
 import socket
 from contextlib import suppress
 from http import HTTPStatus
-from types import TracebackType
 from typing import Any
 
 from asimov_gym.edge.control import Client
 from asimov_gym.edge.edge import Edge
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.listener import EdgeListener
+from asimov_gym.edge.loop_thread import LoopThread
 from asimov_gym.edge.motion_modes_messages import VELOCITY
 from asimov_gym.edge.motion_modes_service import VELOCITY_KIND, MotionModes
 from asimov_gym.edge.transports import TransportError
-from asimov_gym.edge.transports.livekit_thread import LoopThread
 from asimov_gym.edge.transports.rosbridge_protocol import RosbridgeSession
 from asimov_gym.edge.transports.udp import check_port, is_loopback
 from asimov_gym.edge.verdict import Verdict
@@ -51,7 +51,7 @@ _STOP_S = 2.0
 _log = logging.getLogger(__name__)
 
 
-class RosbridgeLane(EdgeListener):
+class RosbridgeLane(Lifecycle, EdgeListener):
     """Serves motion modes over WebSocket between `start` and `stop`, or as a context manager.
 
     Args:
@@ -129,15 +129,6 @@ class RosbridgeLane(EdgeListener):
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-
-    def __enter__(self) -> RosbridgeLane:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
     # -- what others publish -----------------------------------------------------------------------
 

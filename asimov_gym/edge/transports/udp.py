@@ -12,12 +12,12 @@ import socket
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 from asimov_gym.edge.control import Client, Dialect, Source
 from asimov_gym.edge.decode import MAX_PACKET_BYTES
 from asimov_gym.edge.edge import Edge
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.listener import EdgeListener
 from asimov_gym.edge.transports import TransportError
 from asimov_gym.edge.wire import io_pb2
@@ -48,7 +48,7 @@ class StateCounters:
     """Any other error, such as no route."""
 
 
-class UdpLane(EdgeListener):
+class UdpLane(Lifecycle, EdgeListener):
     """Serves one edge over UDP between `start` and `stop`, or as a context manager.
 
     Args:
@@ -141,15 +141,6 @@ class UdpLane(EdgeListener):
         for client in self._senders.values():
             self._edge.leave(client)
         self._senders.clear()
-
-    def __enter__(self) -> UdpLane:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
 
     def _close_sockets(self) -> None:
         for opened in (self._control, self._state):

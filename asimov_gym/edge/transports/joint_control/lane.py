@@ -6,11 +6,11 @@ import asyncio
 import logging
 import threading
 from concurrent.futures import Future
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from asimov_gym.edge.edge import Edge
 from asimov_gym.edge.joint_control import JointControlPort
+from asimov_gym.edge.lifecycle import Lifecycle
 from asimov_gym.edge.transports import TransportError
 from asimov_gym.edge.transports.udp import check_port, is_loopback
 
@@ -25,7 +25,7 @@ _GRACE_S = 0.2
 _log = logging.getLogger(__name__)
 
 
-class JointControlLane:
+class JointControlLane(Lifecycle):
     """Serves one simulated robot's joint control between `start` and `stop`, or as a context manager.
 
     Nothing is encrypted or authenticated, and leases are not asked for: whoever reaches the port can drive the robot.
@@ -133,12 +133,3 @@ class JointControlLane:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._thread = self._server = self._loop = None
-
-    def __enter__(self) -> JointControlLane:
-        self.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
