@@ -8,7 +8,7 @@ from asimov_gym.firmware.commands import Command, Damp, Freeze, Stand, Stream, T
 from asimov_gym.firmware.condition import Condition
 from asimov_gym.firmware.config import FirmwareConfig
 from asimov_gym.firmware.faults import FaultInjector
-from asimov_gym.firmware.firmware import Firmware, Receipt
+from asimov_gym.firmware.firmware import Firmware
 from asimov_gym.firmware.gantry import Gantry, GantryConfig, GantryMode, HandSetting
 from asimov_gym.firmware.joint_command import Advice, JointCommand, JointGains
 from asimov_gym.firmware.joint_control import (
@@ -21,6 +21,7 @@ from asimov_gym.firmware.joint_control import (
 )
 from asimov_gym.firmware.joint_sample import JointSample
 from asimov_gym.firmware.linkage import Linkage
+from asimov_gym.firmware.mode_control import Receipt
 from asimov_gym.firmware.modes import HELD, TRANSITIONS, Hold, Mode, Outcome, State, Transition, Trigger, transition
 from asimov_gym.firmware.motors import MotorConfig, Motors
 from asimov_gym.firmware.policy_control import InferenceConfig, InferenceTime, PolicyControl, PolicyFault

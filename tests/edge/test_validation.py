@@ -140,7 +140,8 @@ def test_every_drop_reason_is_tested() -> None:
         "test_motion_modes.py",
         "test_motion_modes_input.py",
         "test_joint_control.py",
-        "../interop/test_joint_control_client.py",
+        "../interop/joint_control/test_refusals.py",
+        "../interop/joint_control/test_streams.py",
     )
     text = "".join((Path(__file__).parent / name).read_text() for name in files)
     assert [reason.name for reason in DropReason if f"DropReason.{reason.name}" not in text] == []

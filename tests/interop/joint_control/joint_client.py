@@ -18,9 +18,12 @@ from bosdyn.client.robot_state import RobotStateClient, RobotStateStreamingClien
 from bosdyn.client.time_sync import TimeSyncClient, TimeSyncEndpoint
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from asimov_gym.edge import SimulatedRobot
 from asimov_gym.edge.transports.joint_control.vendor import basic_command_pb2, robot_command_pb2
-from asimov_gym.robot.joints import KD, KP, STAND_POSITION
+from asimov_gym.robot.joints import KD, KP, STAND_POSITION, joint_index
 
+ELBOW = joint_index("left_elbow_joint")
+"""The joint that the tests move."""
 PATIENCE_S = 10.0
 """For anything that another thread does."""
 FullBody: Any = import_module("bosdyn.api.full_body_command_pb2").FullBodyCommand.Request
@@ -146,3 +149,38 @@ def eventually(condition: Callable[[], Any], what: str) -> None:
     while not condition():
         assert time.monotonic() < end, f"not within {PATIENCE_S} s: {what}"
         time.sleep(0.002)
+
+
+class Pilot:
+    """A run in lockstep."""
+
+    def __init__(self, robot: SimulatedRobot, clients: Clients) -> None:
+        self.robot, self.clients = robot, clients
+
+    def now(self, ahead_s: float = 0.0) -> int:
+        return self.robot.clock.realtime_us() + round(ahead_s * 1e6)
+
+    def update(self, ahead_s: float = 1.0, **fields: Any) -> Any:
+        return update(self.now(ahead_s), **fields)
+
+    def open(self, **fields: Any) -> OpenStream:
+        """A stream with one update that has arrived."""
+        stream = OpenStream(self.clients)
+        self.send(stream, **fields)
+        return stream
+
+    def send(self, stream: OpenStream, **fields: Any) -> None:
+        taken = self.robot.edge.tally.accepted
+        before = taken["joint_command"]
+        stream.send(self.update(**fields))
+        eventually(lambda: taken["joint_command"] > before, "the update arrives")
+
+    def begin(self, **fields: Any) -> OpenStream:
+        """A run under way, in the order of the vendor's examples: the stream first."""
+        stream = self.open(**fields)
+        self.clients.command.robot_command(ACTIVATE)
+        self.robot.advance(0.01)
+        return stream
+
+    def feedback(self, number: int = 0) -> Any:
+        return self.clients.command.robot_command_feedback(number).feedback.full_body_feedback
