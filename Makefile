@@ -5,13 +5,14 @@ VENV ?= .venv
 PIP_ARGS ?=
 PYTEST_ARGS ?=
 TRAIN_ARGS ?=
+NOTEBOOKS ?= $(wildcard notebooks/*.ipynb)
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --constraint constraints.txt $(PIP_ARGS)
 # 3.11 first: the versions in constraints.txt were tested with it.
 CANDIDATES := $(if $(PYTHON),$(PYTHON),python3.11 python3.12 python3.13 python3.14 python3 python)
 
-.PHONY: help demo train test test-slow lint format clean
+.PHONY: help demo train test test-slow notebooks lint format clean
 .DEFAULT_GOAL := help
 
 help: ## List the commands
@@ -20,6 +21,7 @@ help: ## List the commands
 	@echo "  PYTHON=...      interpreter to build $(VENV) with (default: the first >= 3.11 found)"
 	@echo "  PIP_ARGS=...    extra arguments of pip install, such as an index with CPU builds of torch"
 	@echo "  PYTEST_ARGS=... extra arguments of pytest     TRAIN_ARGS=... extra arguments of the trainer"
+	@echo "  NOTEBOOKS=...   notebooks to run (default: all)"
 
 demo: $(VENV)/.installed-base ## Walk the shipped policy in the simulated robot; plot, video and recording in demo/
 	@$(BIN)/asimov demo
@@ -32,6 +34,9 @@ test: lint ## Lint, types, layers and the quick tests
 
 test-slow: lint ## The same with the long tests
 	@$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+notebooks: $(VENV)/.installed-all ## Run the notebooks and keep what they print and draw
+	@$(BIN)/python notebooks/run.py $(NOTEBOOKS)
 
 lint: $(VENV)/.installed-all ## Formatting, lint, types and the layer contract
 	@$(BIN)/ruff format --check --quiet . || { echo "Not formatted: run 'make format'."; exit 1; }
@@ -60,7 +65,7 @@ $(VENV)/.installed-train: $(VENV)/.created pyproject.toml constraints.txt
 
 $(VENV)/.installed-all: $(VENV)/.created pyproject.toml constraints.txt
 	@echo "Installing asimov-gym, its trainer and the development tools into $(VENV)"
-	@$(PIP) --editable ".[train,mjx,livekit,room,ros2,rosbridge,joint-control,test,dev]"
+	@$(PIP) --editable ".[train,mjx,brax,notebook,livekit,room,ros2,rosbridge,joint-control,test,dev]"
 	@touch $(VENV)/.installed-base $(VENV)/.installed-train $@
 
 $(VENV)/.created:

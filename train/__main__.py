@@ -9,10 +9,14 @@ from typing import Annotated
 
 import tyro
 
-_EXTRA = ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx", "onnxscript")
+_EXTRAS = {
+    "train": ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx", "onnxscript"),
+    "brax": ("brax", "flax", "optax", "jax"),
+}
+"""Packages that each extra brings."""
 _MISSING = (
-    "Training needs the extra packages of `asimov-gym[train]`, and {name!r} is not installed.\n"
-    "Install them with:  pip install 'asimov-gym[train]'   (in a checkout: pip install -e '.[train]', or `make train`)"
+    "{what} needs the extra packages of `asimov-gym[{extra}]`, and {name!r} is not installed.\n"
+    "Install them with:  pip install 'asimov-gym[{extra}]'   (in a checkout: pip install -e '.[{extra}]'{or_make})"
 )
 
 
@@ -46,8 +50,8 @@ class Card:
     """Markdown to put on the card."""
     earlier: tuple[Path, ...] = ()
     """Runs of the stages before, oldest first; their curves go on the card too."""
-    seeds: int = 20
-    """Robots per command."""
+    suite: str = "standard"
+    """Suite to judge it by: a name, or a YAML file."""
 
 
 def _ppo(arguments: list[str]) -> int:
@@ -101,7 +105,7 @@ def _card(arguments: list[str]) -> int:
     from train.session import write_run_card
 
     card = tyro.cli(Card, args=arguments, prog="python -m train card")
-    return write_run_card(card.run, card.policy, card.notes, card.seeds, card.earlier)
+    return write_run_card(card.run, card.policy, card.notes, card.suite, card.earlier)
 
 
 _COMMANDS = {"ppo": _ppo, "resume": _resume, "export": _export, "card": _card}
@@ -123,17 +127,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return _COMMANDS[arguments[0]](arguments[1:])
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] in (
-            "torch",
-            "rsl_rl",
-            "tensordict",
-            "tensorboard",
-            "onnx",
-            "onnxscript",
-        ):
-            print(_MISSING.format(name=error.name), file=sys.stderr)
-            return 2
-        raise
+        name = (error.name or "").partition(".")[0]
+        extra = next((extra for extra, packages in _EXTRAS.items() if name in packages), None)
+        if extra is None and name:
+            raise
+        what, or_make = ("Training", ", or `make train`") if extra == "train" else ("The learner brax", "")
+        words = _MISSING.format(what=what, extra=extra, name=name, or_make=or_make) if extra else str(error)
+        print(words, file=sys.stderr)
+        return 2
     except (ValueError, FileNotFoundError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import platform
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from asimov_gym.evaluation.report import Report
+from asimov_gym.evaluation.bars import judge
+from asimov_gym.evaluation.report import markdown, summary, tables
+from asimov_gym.evaluation.results import SuiteResult, plain
 from asimov_gym.policy import PolicyRunner
+from train.hardware import machine
 from train.run_folder import RunFolder
 
 CURVES = (
@@ -23,6 +26,8 @@ CURVES = (
     ("curriculum/kick", "kick level"),
 )
 """Curves on the card: name in the run's curves, title."""
+_LEARNERS = {None: "rsl-rl", "rsl_rl": "rsl-rl", "brax": "Brax"}
+_ENGINES = {None: "C physics", "c": "C physics", "mjx": "MJX (jax)", "warp": "MJX (warp)"}
 
 
 def read_curves(folder: RunFolder) -> dict[str, np.ndarray]:
@@ -93,17 +98,17 @@ def save_curves(curves: dict[str, np.ndarray], path: Path, points: int = 200) ->
 def write_card(
     folder: RunFolder,
     policy: PolicyRunner,
-    report: Report,
+    result: SuiteResult,
     path: Path,
     notes: str = "",
     earlier: Sequence[RunFolder] = (),
 ) -> None:
-    """Write `path` (Markdown), and beside it the curves (PNG and CSV) and every figure (JSON).
+    """Write `path` (Markdown), and beside it the curves (PNG and CSV) and the figures (JSON).
 
     Args:
         folder: the run.
         policy: its exported network.
-        report: its evaluation.
+        result: what a suite measured of it.
         path: the card.
         notes: what a reader should also know.
         earlier: the runs of the stages before, oldest first, for their curves.
@@ -112,7 +117,7 @@ def write_card(
     curves = joined_curves([*earlier, folder])
     plot_curves(curves, path.with_suffix(".curves.png"))
     save_curves(curves, path.with_suffix(".curves.csv"))
-    path.with_suffix(".json").write_text(json.dumps(report.to_json(), indent=1) + "\n", encoding="utf-8")
+    path.with_suffix(".json").write_text(json.dumps(card_figures(result), indent=1) + "\n", encoding="utf-8")
     stages = "\n".join(
         f"| {number} | `{stage['preset']}` | {stage['samples']:,} | {stage['seconds'] / 60:.0f} | `{stage['commit']}` |"
         for number, stage in enumerate(folder.history(), start=1)
@@ -126,8 +131,8 @@ def write_card(
 | | |
 |---|---|
 | task | `Asimov-Walk-v0`, layout `{contract.observation.layout}` |
-| learner | rsl-rl PPO on C physics, {config.copies} copies |
-| machine | {platform.system()}, {platform.machine()}, {os.cpu_count()} cores, no GPU |
+| learner | {_LEARNERS[config.library]} PPO on {_ENGINES[config.physics]}, {config.copies} copies |
+| machine | {folder.origin().get("machine") or machine()} |
 | network | {" × ".join(map(str, config.learner.hidden))} ELU, normaliser inside |
 | gait clock | {contract.gait_frequency_hz} Hz |
 | trained commands | {ranges} |
@@ -145,14 +150,28 @@ Each stage is `python -m train ppo --preset PRESET`, a later one with `--warm-st
 
 ## Evaluation
 
-`asimov eval`: evaluation physics (full collisions, elliptic cone, dry joint friction), 20 s walks, action delays of
-0 to 25 ms by seed, no rope, no noise. Errors are those of the velocity averaged over a gait cycle, after two seconds.
+`asimov eval {result.policy_name} --suite {result.suite}` (hash `{result.suite_hash}`): evaluation physics with full
+collisions, elliptic friction cone and dry joint friction, no rope; every scenario's own conditions are in the suite.
 
 ```
-{report.summary()}
+{summary(result)}
 ```
 
-{report.markdown()}
+{markdown(result)}
 
 {notes}"""
     path.write_text(card, encoding="utf-8")
+
+
+def card_figures(result: SuiteResult) -> dict[str, Any]:
+    """What a result says, without its single trials: bars, tables and push limits as plain data."""
+    kept = ("suite", "suite_hash", "policy_name", "policy_hash", "machine", "versions", "started", "wall_clock_s")
+    return plain(
+        {
+            **{name: getattr(result, name) for name in kept},
+            "complete": result.complete,
+            "bars": [asdict(bar) for bar in judge(result)],
+            "tables": [asdict(table) for table in tables(result)],
+            "push_limits": [asdict(limit) for limit in result.push_limits],
+        }
+    )

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
+
+import tyro
 
 from asimov_gym.assets import config_path
 from asimov_gym.physics import PROFILES
+from asimov_gym.physics.profile import ENGINES
 from asimov_gym.presets import load
 from asimov_gym.tasks.walk import WalkConfig
+
+LIBRARIES = ("brax", "rsl_rl")
+"""Learners by the library that they are made of."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +70,10 @@ class LearnerConfig:
 class PpoConfig:
     """A training run of the walking policy."""
 
+    library: Annotated[str | None, tyro.conf.arg(name="learner")] = None
+    """Learner: `brax` or `rsl_rl`; by the hardware when omitted."""
+    physics: str | None = None
+    """Engine: `c`, `mjx` or `warp`; by the hardware when omitted."""
     samples: int = 25_000_000
     """Environment steps of all processes together."""
     copies: int = 768
@@ -72,7 +83,8 @@ class PpoConfig:
     threads: int | None = None
     """Threads of a process; the machine's cores, divided among its processes, when omitted."""
     device: str = "cpu"
-    """Where the networks live: `cpu`, or `cuda` (each process takes a GPU of its own). The physics stays on the CPU."""
+    """Where rsl-rl's networks live: `cpu`, or `cuda` (each process takes a GPU of its own). C physics stays on the CPU,
+    and Brax and MJX are where JAX is."""
     seed: int = 1
     checkpoint_s: float = 120.0
     """Seconds between checkpoints."""
@@ -82,6 +94,10 @@ class PpoConfig:
     learner: LearnerConfig = field(default_factory=LearnerConfig)
 
     def __post_init__(self) -> None:
+        if self.library not in (None, *LIBRARIES):
+            raise ValueError(f"learner must be one of {', '.join(LIBRARIES)}, got {self.library!r}")
+        if self.physics not in (None, *ENGINES):
+            raise ValueError(f"physics must be one of {', '.join(ENGINES)}, got {self.physics!r}")
         if self.samples < 1:
             raise ValueError(f"samples must be at least 1, got {self.samples}")
         if self.copies < self.learner.minibatches:

@@ -66,6 +66,7 @@ def export_onnx(
     path: str | Path,
     *,
     normaliser: torch.nn.Module | None = None,
+    trained: Callable[[np.ndarray], np.ndarray] | None = None,
     samples: int = 1000,
     tolerance: float = 1e-5,
     seed: int = 0,
@@ -80,6 +81,7 @@ def export_onnx(
         contract: what the policy was trained with.
         path: file to write; replaced in one step.
         normaliser: module applied to observations before `actor`, where the actor has none inside.
+        trained: the network that was trained, where `actor` is only its image in torch; the file is compared with it.
         samples: number of observations compared.
         tolerance: largest absolute difference allowed between the two outputs.
         seed: seed of those observations.
@@ -95,9 +97,9 @@ def export_onnx(
     verify_contract(contract)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    reference, network = _reference(actor, normaliser), _network(actor, normaliser)
+    reference, network = trained or _reference(actor, normaliser), _network(actor, normaliser)
     observations = realistic_observations(contract, samples, seed)
-    expected = reference(torch.from_numpy(observations))
+    expected = reference(observations)
     with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as folder:
         draft = Path(folder) / path.name
         onnx.save(_graph(network, contract), draft)
@@ -164,7 +166,7 @@ def _network(actor: Any, normaliser: torch.nn.Module | None) -> torch.nn.Module:
     return _Network(*(copy.deepcopy(stage) for stage in stages)).cpu().float().eval()
 
 
-def _reference(actor: Any, normaliser: torch.nn.Module | None) -> Callable[[torch.Tensor], np.ndarray]:
+def _reference(actor: Any, normaliser: torch.nn.Module | None) -> Callable[[np.ndarray], np.ndarray]:
     """The trained actor itself, not the copy that is exported: else a fault of the copying would go unseen."""
     modules = [stage for stage in (normaliser, actor) if isinstance(stage, torch.nn.Module)]
     first = next((tensor for module in modules for tensor in module.parameters()), torch.empty(0))
@@ -174,8 +176,8 @@ def _reference(actor: Any, normaliser: torch.nn.Module | None) -> Callable[[torc
     if groups is not None and len(groups) != 1:
         raise ValueError(f"the actor must read one observation group, the layout's vector; it reads {list(groups)}")
 
-    def run(observations: torch.Tensor) -> np.ndarray:
-        batch = observations.to(first.device)
+    def run(observations: np.ndarray) -> np.ndarray:
+        batch = torch.from_numpy(observations).to(first.device)
         with torch.inference_mode(), _evaluating(modules), _full_float32():
             batch = batch if normaliser is None else normaliser(batch)
             if groups is not None:

@@ -1,11 +1,11 @@
-"""Proximal policy optimisation of the walking policy with rsl-rl on C physics."""
+"""Proximal policy optimisation of the walking policy with rsl-rl."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Generator
 from contextlib import redirect_stdout
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -26,12 +26,20 @@ from train.linear import use_onednn
 from train.ranks import Ranks
 from train.symmetry import SymmetricGaussian, SymmetricModel
 
+if TYPE_CHECKING:
+    from train.functional_batch import FunctionalBatch
 
-def views(observation: np.ndarray, privileged: np.ndarray, device: str = "cpu") -> TensorDict:
+
+def tensor(array: Any, device: str = "cpu") -> torch.Tensor:
+    """An array of NumPy or JAX as a tensor, without a copy where it is on that device already."""
+    rows = torch.from_numpy(array) if isinstance(array, np.ndarray) else torch.from_dlpack(array)
+    return rows if device == "cpu" and rows.device.type == "cpu" else rows.to(device)
+
+
+def views(observation: Any, privileged: Any, device: str = "cpu") -> TensorDict:
     """Observation groups as rsl-rl takes them."""
-    groups = {"actor": torch.from_numpy(observation), "critic": torch.from_numpy(privileged)}
-    rows = TensorDict(groups, batch_size=[len(observation)])
-    return rows if device == "cpu" else rows.to(device)
+    groups = {"actor": tensor(observation, device), "critic": tensor(privileged, device)}
+    return TensorDict(groups, batch_size=[len(observation)])
 
 
 class _Sizes:
@@ -107,7 +115,9 @@ class KeptMinibatches(RolloutStorage):
             yield from kept
 
 
-def build_ppo(batch: WalkBatch, config: LearnerConfig, observations: TensorDict, ranks: Ranks | None = None) -> PPO:
+def build_ppo(
+    batch: WalkBatch | FunctionalBatch, config: LearnerConfig, observations: TensorDict, ranks: Ranks | None = None
+) -> PPO:
     """The algorithm with fresh networks for a batch of robots.
 
     Args:

@@ -15,6 +15,7 @@ import torch
 from asimov_gym import presets
 from asimov_gym.robot.model import model_sha256
 from train.config import PpoConfig
+from train.hardware import machine
 
 _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.pt")
 
@@ -61,6 +62,7 @@ class RunFolder:
         path.mkdir(parents=True)
         presets.save(config, path / "config.yaml")
         origin: dict[str, Any] = {"preset": preset, "commit": present_commit(), "model_sha256": model_sha256()}
+        origin["machine"] = machine()
         origin["after"] = None if parent is None else parent.history()
         (path / "origin.json").write_text(json.dumps(origin, indent=2) + "\n", encoding="utf-8")
         return cls(path)
@@ -88,7 +90,8 @@ class RunFolder:
         return [*(origin["after"] or []), stage]
 
     def origin(self) -> dict[str, Any]:
-        """What the run was started from: `preset`, `commit`, `model_sha256`, and the stages `after` which it came."""
+        """What the run was started from: `preset`, `commit`, `model_sha256`, `machine`, and the stages `after` which it
+        came."""
         return json.loads((self.path / "origin.json").read_text(encoding="utf-8"))
 
     def checkpoints(self) -> list[Path]:

@@ -9,36 +9,43 @@ import torch
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from asimov_gym.evaluation.report import evaluate
+from asimov_gym.evaluation.report import summary, write_report
+from asimov_gym.evaluation.runner import SuiteRun
+from asimov_gym.evaluation.suite import load_suite
 from asimov_gym.policy import load_policy
 from asimov_gym.policy.contract import default_contract
 from asimov_gym.robot.observation import observation_layout
 from train.card import write_card
 from train.config import PpoConfig
 from train.export import export_onnx
+from train.hardware import check, settled
 from train.learner import load_actor
-from train.ppo import Trainer
+from train.loop import TrainingLoop
 from train.ranks import Ranks
 from train.run_folder import RunFolder
+from train.weights import NetworkWeights
 
-_console = Console(soft_wrap=True)
+_console = Console(soft_wrap=True, highlight=False, force_jupyter=False)
 
 
 def start_run(config: PpoConfig, root: Path, preset: str, name: str, warm_start: Path | None = None) -> int:
     """Train in a new run folder, from the networks of another run if one is given; returns the exit code."""
     parent = None if warm_start is None else RunFolder(warm_start)
-
-    def create() -> Path:
-        before = None if warm_start is None else RunFolder.open(warm_start)
-        return RunFolder.create(root, preset, config, name, before).path
-
     with Ranks.joined() as ranks:
-        ranks = ranks.on(config.device)
+        chosen, reason = ranks.from_first(lambda: settled(config))
+        ranks = ranks.on(chosen.device)
+        if ranks.first:
+            _console.print(f"learner {chosen.library} on physics {chosen.physics}: {reason}", highlight=False)
+
+        def create() -> Path:
+            before = None if warm_start is None else RunFolder.open(warm_start)
+            return RunFolder.create(root, preset, chosen, name, before).path
+
         folder = RunFolder(ranks.from_first(create))
-        trainer = _trainer(config, folder, ranks)
+        trainer = _trainer(chosen, folder, ranks)
         trainer.console.print(f"run folder: {folder.path}")
         if ranks.count > 1:
-            trainer.console.print(f"{ranks.count} processes of {config.copies} copies each")
+            trainer.console.print(f"{ranks.count} processes of {chosen.copies} copies each")
         if parent is not None:
             trainer.warm_start(parent)
         trainer.console.print(trainer.reward_table())
@@ -50,7 +57,13 @@ def resume_run(path: Path) -> int:
     """Continue a run with as many processes as started it; returns the exit code."""
     with Ranks.joined() as ranks:
         folder = RunFolder(path)
-        config = ranks.from_first(lambda: RunFolder.open(path).config())
+
+        def settings() -> PpoConfig:
+            config = RunFolder.open(path).config()
+            check(config)
+            return config
+
+        config = ranks.from_first(settings)
         ranks = ranks.on(config.device)
         trainer = _trainer(config, folder, ranks)
         trainer.resume()
@@ -59,9 +72,23 @@ def resume_run(path: Path) -> int:
     return _finish(folder, complete, ranks)
 
 
-def _trainer(config: PpoConfig, folder: RunFolder, ranks: Ranks) -> Trainer:
+def _trainer(config: PpoConfig, folder: RunFolder, ranks: Ranks) -> TrainingLoop:
+    """The trainer of the learner that the settings name; runs older than the choice are rsl-rl's on C physics."""
     torch.set_num_threads(ranks.threads(config.threads))
-    return Trainer(config, folder, ranks)
+    if config.library != "brax":
+        from train.ppo import Trainer
+
+        if config.physics in ("mjx", "warp"):
+            from train.devices import prepare_beside_torch
+
+            prepare_beside_torch(ranks)
+        return Trainer(config, folder, ranks)
+    from train.devices import join
+
+    join(ranks)
+    from train.brax_ppo import BraxTrainer
+
+    return BraxTrainer(config, folder, ranks)
 
 
 def _finish(folder: RunFolder, complete: bool, ranks: Ranks) -> int:
@@ -94,8 +121,16 @@ def export_run(path: Path, output: Path | None) -> int:
             "after": origin["after"],
         },
     )
-    actor = load_actor(config.learner, observation_layout(walk.layout), state["learner"]["actor_state_dict"])
-    report = export_onnx(actor, contract, output or folder.path / "policy.onnx")
+    layout, learned, trained = observation_layout(walk.layout), state["learner"], None
+    if config.library == "brax":
+        from train import brax_networks
+
+        trained = brax_networks.load_actor(config.learner, layout, learned["networks"])
+        weights = NetworkWeights.from_brax(learned, "actor").to_torch()
+    else:
+        weights = learned["actor_state_dict"]
+    actor = load_actor(config.learner, layout, weights)
+    report = export_onnx(actor, contract, output or folder.path / "policy.onnx", trained=trained)
     _console.print(
         f"exported {report.path} after {samples / 1e6:.2f}M samples; largest difference from the trained network on "
         f"{report.samples} observations: {report.difference:.1e}"
@@ -104,24 +139,31 @@ def export_run(path: Path, output: Path | None) -> int:
 
 
 def write_run_card(
-    path: Path, policy_file: Path | None, notes: Path | None, seeds: int, earlier: Sequence[Path] = ()
+    path: Path, policy_file: Path | None, notes: Path | None, suite_name: str, earlier: Sequence[Path] = ()
 ) -> int:
-    """Evaluate a run's exported policy and write its card beside the file; returns the exit code."""
+    """Judge a run's exported policy by a suite and write its card beside the file; returns the exit code.
+
+    The evaluation stays in the run's folder: when it is stopped, the same call continues it.
+    """
     folder = RunFolder.open(path)
+    suite = load_suite(suite_name)
     policy_file = policy_file or folder.path / "policy.onnx"
     policy = load_policy(policy_file)
     text = notes.read_text(encoding="utf-8") if notes is not None else ""
+    place = folder.path / "evaluation" / f"{suite.name}_{suite.hash[:8]}_{policy.sha256[:8]}"
+    run = SuiteRun(policy, suite, place, resume=place.is_dir())
     with Progress(console=_console, transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
-        def show(stage: str, done: int, whole: int) -> None:
+        def show(stage: str, done: float, whole: float) -> None:
             if stage not in tasks:
                 tasks[stage] = bar.add_task(stage, total=whole)
             bar.update(tasks[stage], completed=done)
 
-        report = evaluate(policy, seeds=seeds, progress=show)
+        result = run.execute(show)
+    page = write_report(result, place)
     card = policy_file.with_suffix(".md")
-    write_card(folder, policy, report, card, text, [RunFolder.open(run) for run in earlier])
-    _console.print(report.summary(), highlight=False)
-    _console.print(f"card: {card}")
+    write_card(folder, policy, result, card, text, [RunFolder.open(run) for run in earlier])
+    _console.print(summary(result), highlight=False, markup=False)
+    _console.print(f"report: {page}\ncard: {card}", highlight=False, markup=False)
     return 0

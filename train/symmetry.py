@@ -34,7 +34,7 @@ class TorchMirror(nn.Module):
         self.register_buffer("signs", torch.as_tensor(signs, dtype=torch.float32), persistent=False)
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        return rows[..., self.indices] * self.signs
+        return rows.index_select(-1, self.indices) * self.signs
 
 
 class SymmetricNetwork(nn.Module):

@@ -87,13 +87,15 @@ class BenchTrain:
         import torch
 
         from asimov_gym.cli.bench_subjects import RawPhysics
+        from asimov_gym.envs.walk_batch import WalkBatch
         from train.config import load_preset
         from train.ppo import Trainer
         from train.run_folder import RunFolder
 
         threads = self.threads or cores()
         config = load_preset(self.preset)
-        config = replace(config, copies=self.copies or config.copies, threads=threads, device="cpu")
+        copies = self.copies or config.copies
+        config = replace(config, library="rsl_rl", physics="c", copies=copies, threads=threads, device="cpu")
         before = torch.get_num_threads()
         torch.set_num_threads(threads)
         rounds: list[tuple[float, float, float]] = []
@@ -101,7 +103,9 @@ class BenchTrain:
             trainer = Trainer(config, RunFolder.create(Path(folder), self.preset, config))
             for _ in range(WARM_UP):
                 trainer.iterate()
-            raw = RawPhysics(trainer.batch, threads)
+            batch = trainer.batch
+            assert isinstance(batch, WalkBatch)  # as on C physics
+            raw = RawPhysics(batch, threads)
             for _ in range(self.rounds):
                 figures = trainer.iterate()
                 bare = raw.seconds(raw.record(TAPE, trainer.step_untaught))

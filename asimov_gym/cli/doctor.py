@@ -213,10 +213,10 @@ def learner_findings() -> list[Finding]:
         ),
         _imported(
             "brax",
-            ("jax", "brax"),
-            "from importlib.metadata import version; import brax.training.agents.ppo.train; "
-            "print('brax', version('brax'))",
-            "pip install jax brax mujoco-mjx",
+            ("jax", "brax", "flax", "optax"),
+            "from importlib.metadata import version; import train.brax_learner, jax; "
+            "print('brax', version('brax'), 'with jax', jax.__version__ + ',', jax.default_backend().upper())",
+            extra_line("brax"),
         ),
     ]
 

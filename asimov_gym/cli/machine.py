@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import platform
 import re
-import shutil
 import subprocess
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from train.hardware import gpu_names
 
 PACKAGES = (
     "gymnasium",
@@ -54,7 +55,7 @@ class Machine:
                 packages[name] = version(name)
             except PackageNotFoundError:
                 continue
-        return cls(_cpu(), cores(), _memory_gb(), _gpus(), _system(), platform.python_version(), packages)
+        return cls(_cpu(), cores(), _memory_gb(), gpu_names(), _system(), platform.python_version(), packages)
 
     @property
     def name(self) -> str:
@@ -99,12 +100,6 @@ def _memory_gb() -> float:
     if not hasattr(os, "sysconf") or "SC_PHYS_PAGES" not in os.sysconf_names:
         return float("nan")
     return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
-
-
-def _gpus() -> tuple[str, ...]:
-    if shutil.which("nvidia-smi") is None:
-        return ()
-    return tuple(_output("nvidia-smi", "--query-gpu=name", "--format=csv,noheader").splitlines())
 
 
 def _system() -> str:

@@ -149,8 +149,9 @@ def masked_info(parts: Sequence[tuple[np.ndarray, Info]]) -> Info:
         if isinstance(first, Mapping):
             result[key] = masked_info(having)
         else:
-            array = np.full_like(first, None if first.dtype == object else 0)
-            for mask, values in having:
+            array = np.array(first)
+            array[~covered] = None if first.dtype == object else 0
+            for mask, values in having[1:]:
                 array[mask] = values[mask]
             result[key] = array
         result[f"_{key}"] = covered

@@ -6,6 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+AHEAD = 512
+"""Numbers that a stream draws at once: asking a generator for a thousand costs little more than asking for six."""
+
 
 class CopyStreams:
     """N independent streams of uniform numbers.
@@ -19,17 +22,34 @@ class CopyStreams:
 
     def __init__(self, seeds: Sequence[int]) -> None:
         self._generators = [np.random.default_rng(seed) for seed in seeds]
+        self._drawn = np.empty((len(self._generators), AHEAD), dtype=np.float32)
+        self._next = np.full(len(self._generators), AHEAD)
+        """Place of each copy's next number in its row of `_drawn`."""
 
     def draw(self, width: int, which: np.ndarray | None = None) -> np.ndarray:
         """Uniform numbers in [0, 1), float32.
 
         Args:
-            width: how many for each copy.
+            width: how many for each copy, at most `AHEAD`.
             which: mask of the copies that draw, (N,) bool; all when None.
 
         Returns:
             (n, width): a row for each copy that draws.
+
+        Raises:
+            ValueError: too many at once.
         """
-        chosen = self._generators if which is None else [self._generators[i] for i in np.flatnonzero(which)]
-        rows = [generator.random(width, dtype=np.float32) for generator in chosen]
-        return np.stack(rows) if rows else np.empty((0, width), dtype=np.float32)
+        if width > AHEAD:
+            raise ValueError(f"width must be at most {AHEAD}, got {width}")
+        copies = np.arange(len(self._generators)) if which is None else np.flatnonzero(which)
+        for copy in copies[self._next[copies] + width > AHEAD]:
+            self._refill(copy)
+        first = copies * AHEAD + self._next[copies]
+        self._next[copies] += width
+        return self._drawn.take(first[:, None] + np.arange(width))  # places in the rows one after the other
+
+    def _refill(self, copy: int) -> None:
+        row, used = self._drawn[copy], self._next[copy]
+        row[: AHEAD - used] = row[used:]
+        self._generators[copy].random(out=row[AHEAD - used :], dtype=np.float32)
+        self._next[copy] = 0

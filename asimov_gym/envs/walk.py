@@ -109,7 +109,7 @@ class WalkEnvBatch:
 
 
 class WalkEnv(RobotEnv):
-    """Follow a velocity command on flat ground without falling.
+    """Follow a velocity command without falling, on flat ground or on `config.terrain`.
 
     ## Action
     `Box(-c, c, (23,), float32)` with c = `config.action_clip` (1): offsets from the standing pose in units of
@@ -147,8 +147,9 @@ class WalkEnv(RobotEnv):
     actions, slipping, effort and joint limits. `info["reward_terms"]` has each one's weighted value per second.
 
     ## Episode
-    It starts in a disturbed standing pose with a random heading. It terminates when the pelvis tilts beyond 60 degrees
-    or sinks below 0.35 m (or the simulation diverges), and is truncated after `config.episode_s` (20 s).
+    It starts in a disturbed standing pose with a random heading, on terrain also at a random place. It terminates when
+    the pelvis tilts beyond 60 degrees or sinks below 0.35 m over the ground (or the simulation diverges), and is
+    truncated after `config.episode_s` (20 s).
 
     `info`: `privileged` (observation for a critic, (96,) float32: the clean observation with clock, pelvis velocity and
     height, feet, contact forces, body figures), `command` (3,), and after a step `reward_terms`, `clipped`, `diverged`.

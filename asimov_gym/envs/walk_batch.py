@@ -5,21 +5,30 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
 
 from asimov_gym.envs.streams import CopyStreams
-from asimov_gym.physics import DECIMATION, BodyParameters, CPhysics, JointTarget, PhysicsProfile, PhysicsState, Reading
+from asimov_gym.physics import (
+    DECIMATION,
+    BodyParameters,
+    CPhysics,
+    JointTarget,
+    PhysicsProfile,
+    PhysicsState,
+    Reading,
+    compile_model,
+)
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask
 from asimov_gym.tasks.walk import curriculum as levels
-from asimov_gym.tasks.walk import task as walk
 from asimov_gym.tasks.walk.curriculum import Levels
+from asimov_gym.tasks.walk.state import KICK_DRAWS, SHOVE_DRAWS
 
 _ACTIONS = len(POLICY_JOINT_NAMES)
-_WIDTHS = {**walk.STEP_DRAWS, **walk.START_DRAWS}
+_Rows = TypeVar("_Rows", WalkState, BodyParameters)
 _FOREVER = np.iinfo(np.int64).max // 2
 """Steps left of a command that is never drawn anew."""
 
@@ -80,12 +89,12 @@ class WalkBatch:
         seed: of everything random.
         randomise: give each copy its own body figures and action delay; otherwise nominal figures and no delay.
         noise: add sensor noise to the actor's observation.
-        kicks: kick the pelvis now and then.
+        kicks: disturb the robot now and then, by the configuration's kicks and shoves.
         curriculum: start penalties and kicks at their first level; otherwise at their last.
         autoreset: start the next episode in the same step that ends one.
         stagger: start episodes at random times of their life, so that they do not all end together.
         dump_dir: where the state of diverged copies is written.
-        model: another compiled model of the robot.
+        model: another compiled model of the robot, on the terrain of the configuration.
     """
 
     def __init__(
@@ -108,7 +117,12 @@ class WalkBatch:
         self.task = WalkTask(config)
         self.config = self.task.config
         self.copies = copies
-        self.physics = CPhysics(copies, profile, threads, model=model, dump_dir=dump_dir)
+        if model is None and not self.task.terrain.is_flat:
+            model = compile_model(profile, visuals=copies == 1, terrain=self.task.terrain)
+        self._aged = noise and self.config.noise.can_slot_delay
+        trail = self.task.trail if self._aged else 0
+        self.physics = CPhysics(copies, profile, threads, model=model, dump_dir=dump_dir, trail=trail)
+        self._widths = {**self.task.step_draws, **self.task.start_draws}
         self.randomise, self.noise, self.kicks, self.autoreset = randomise, noise, kicks, autoreset
         self.stagger = stagger
         first = self.config.curriculum.start if curriculum else 1.0
@@ -175,7 +189,10 @@ class WalkBatch:
             self.state.command[fixed] = command[fixed]
             self.state.command_left[fixed] = _FOREVER
         self.reading = self.physics.read().astype(np.float32)
-        return self._observe(which)
+        rows = self._observe(which)
+        observation, privileged = (np.zeros((self.copies, part.shape[1]), dtype=part.dtype) for part in rows)
+        observation[which], privileged[which] = rows
+        return observation, privileged
 
     def _start(self, which: np.ndarray) -> None:
         """Put copies into a fresh episode: physics, body figures and task state."""
@@ -183,6 +200,8 @@ class WalkBatch:
         joints, height, quat, velocity = self.task.initial_pose(self._draw("pose", which))
         position = np.zeros((count, 3))
         position[:, 2] = height
+        if not self.task.terrain.is_flat:
+            position += self.task.place(self._draw("place", which))
         qvel = np.zeros((count, self.physics.model.nv))
         qvel[:, 0:6] = velocity
         self.physics.reset(self.physics.configuration(joints, position, quat), qvel, copies=which)
@@ -205,7 +224,7 @@ class WalkBatch:
 
         Args:
             action: network outputs in policy order, (N, 23); finite values out of bounds are clipped and counted.
-            draws: uniform numbers to use instead of the batch's own, by the names in `STEP_DRAWS` and `START_DRAWS` of
+            draws: uniform numbers to use instead of the batch's own, by the names in `step_draws` and `start_draws` of
                 the task, (N, width) each: with those that another engine recorded, its rollout is replayed here.
 
         Raises:
@@ -223,23 +242,24 @@ class WalkBatch:
         state = self.task.push_action(self.state, clipped_action)
         if self.kicks:
             state = self._kick(state)
+            state = self._shove(state)
         target = JointTarget(self.task.targets(state))
-        self.reading = self.physics.step(target, DECIMATION).astype(np.float32)
+        self.reading = self.physics.step(target, DECIMATION, self._wrench(state)).astype(np.float32)
         outcome = self.task.conclude(
             state, self.reading, self.physics.diverged, self._draw("command"), self.curriculum.penalty
         )
         self.state = outcome.state
         done = outcome.terminated | outcome.truncated
         last_reading = self.reading
-        final = None
+        observation, privileged = self._observe()
+        final_observation = observation
         if done.any():
             self.curriculum = Curriculum.of(levels.after_episodes(self.curriculum.levels, self.state.step, done))
             if self.autoreset:
-                final, _ = self._observe()
+                final_observation = observation.copy()
                 self._start(done)
                 self.reading = self.physics.read().astype(np.float32)
-        observation, privileged = self._observe()
-        final_observation = observation if final is None else np.where(done[:, None], final, observation)
+                observation[done], privileged[done] = self._observe(done)
         return WalkStep(
             observation=observation,
             privileged=privileged,
@@ -262,32 +282,50 @@ class WalkBatch:
         due = state.kick_left <= 0
         if not due.any():
             return state
-        draws = np.zeros((self.copies, walk.KICK_DRAWS), dtype=np.float32)
+        draws = np.zeros((self.copies, KICK_DRAWS), dtype=np.float32)
         draws[due] = self._draw("kick", due)
         state, kick = self.task.kick(state, draws, self.curriculum.kick)
         self.physics.kick(kick[due], copies=due)
         return state
+
+    def _shove(self, state: WalkState) -> WalkState:
+        if not self.config.shove.bodies:
+            return state
+        due = state.shove_wait <= 0
+        draws = np.zeros((self.copies, SHOVE_DRAWS), dtype=np.float32)
+        if due.any():
+            draws[due] = self._draw("shove", due)
+        return self.task.shove(state, draws, self.curriculum.kick)
+
+    def _wrench(self, state: WalkState) -> dict[str, np.ndarray] | None:
+        """Forces of the shoves as the physics takes them; None when there is none."""
+        return self.task.wrench(state) if state.shove.any() else None
 
     def advance_curriculum(self) -> None:
         """Let the levels grow by one step if episodes last. The trainer calls it once per policy step."""
         self.curriculum = Curriculum.of(levels.grown(self.curriculum.levels, self.config.curriculum))
 
     def _observe(self, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Both observations of all copies; with `which`, sensor noise is drawn for those copies only."""
-        draws = None
-        if self.noise and which is None:
-            draws = self._draw("sensors")
-        elif self.noise:
-            draws = np.full((self.copies, walk.SENSOR_DRAWS), 0.5, dtype=np.float32)
-            draws[which] = self._draw("sensors", which)
-        observation = self.task.observe(self.state, self.reading, draws)
-        return observation, self.task.privilege(self.state, self.reading, self.body)
+        """Both observations of all copies, or a row for each copy of the mask `which`."""
+        draws = self._draw("sensors", which) if self.noise else None
+        state, reading, body = self.state, self.reading, self.body
+        if which is not None:
+            state, reading, body = _rows(state, which), reading.take(which), _rows(body, which)
+        observation = self.task.observe(state, self._sensed(reading, which), draws)
+        return observation, self.task.privilege(state, reading, body)
+
+    def _sensed(self, reading: Reading, which: np.ndarray | None) -> Reading:
+        """The reading as the motor bus delivers it; `which` as for `_observe`."""
+        if not self._aged:
+            return reading
+        trail = self.physics.joint_trail()[slice(None) if which is None else which]
+        return self.task.sensed(reading, trail.astype(np.float32), self._draw("bus", which))
 
     def _draw(self, purpose: str, which: np.ndarray | None = None) -> np.ndarray:
         """Uniform numbers for a purpose, a row for each copy of `which`."""
         if self._given is not None:
             return np.asarray(self._given[purpose])[slice(None) if which is None else which]
-        width = _WIDTHS[purpose]
+        width = self._widths[purpose]
         if self._streams is not None:
             return self._streams.draw(width, which)
         return self.rng.random((self.copies if which is None else int(which.sum()), width), dtype=np.float32)
@@ -349,6 +387,11 @@ def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         place = np.argwhere(np.isnan(array))[0].tolist()
         raise ValueError(f"action is NaN at {place}; entries must be finite numbers")
     return array
+
+
+def _rows(quantities: _Rows, which: np.ndarray) -> _Rows:
+    """The rows of some copies in a dataclass of arrays."""
+    return replace(quantities, **{name: array[which] for name, array in vars(quantities).items()})
 
 
 def nominal_body(copies: int) -> BodyParameters:

@@ -19,6 +19,7 @@ from asimov_gym.physics.profile import PhysicsProfile, physics_profile
 from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading, is_sound
 from asimov_gym.robot.joints import JOINT_NAMES
 from asimov_gym.robot.model import robot_spec
+from asimov_gym.robot.terrain import Terrain
 
 _log = logging.getLogger(__name__)
 
@@ -39,6 +40,7 @@ class CPhysics:
             without its visual shapes and textures when N > 1: they weigh megabytes a copy and do nothing for the
             physics.
         dump_dir: folder for the state of diverged copies; nothing is written when None.
+        trail: how many earlier moments of the joints `joint_trail` remembers.
     """
 
     def __init__(
@@ -49,9 +51,12 @@ class CPhysics:
         parameters: BodyParameters | None = None,
         model: mujoco.MjModel | None = None,
         dump_dir: Path | None = None,
+        trail: int = 0,
     ) -> None:
         if copies < 1:
             raise ValueError(f"copies must be at least 1, got {copies}")
+        if trail < 0:
+            raise ValueError(f"trail must be at least 0, got {trail}")
         if threads is not None and threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self.profile = physics_profile(profile)
@@ -78,9 +83,13 @@ class CPhysics:
         self._qpos, self._qvel = slice(1, 1 + m.nq), slice(1 + m.nq, 1 + m.nq + m.nv)
         self._warmstart, self._sensed = np.zeros((n, m.nv)), np.zeros((n, m.nsensordata))
         self._reading: Reading | None = None
+        self.trail = trail
+        self._past = np.repeat(self._rows[:, None], trail, axis=1)
+        """Rows at the `trail` physics steps before, the latest first."""
         self._due = np.zeros(n)
         """Simulated time that a sound copy has passed, s."""
-        self._controls: dict[tuple[int, int], np.ndarray] = {}
+        self._controls: dict[tuple[int, int, bool], np.ndarray] = {}
+        """Buffers of `_advance` by substeps, width, and whether loads are ever written."""
         if parameters is not None:
             self.set_parameters(parameters)
         self.reset(*self.standing())
@@ -117,6 +126,7 @@ class CPhysics:
         self._rows[where] = 0.0
         s.qpos[where], s.qvel[where] = qpos, qvel
         s.warmstart[where], s.sensors[where] = 0.0, self._standing_sensors
+        self._past[where] = self._rows[where, None]
 
     def state(self) -> PhysicsState:
         """A copy of the whole state."""
@@ -129,6 +139,7 @@ class CPhysics:
             raise ValueError(f"state.qpos has shape {state.qpos.shape}, this batch needs {needed}")
         for name, array in vars(self._writable()).items():
             array[...] = getattr(state, name)
+        self._past[:] = self._rows[:, None]
 
     def kick(self, velocity: np.ndarray, copies: np.ndarray | None = None) -> None:
         """Add to the pelvis velocity, (n, 6): linear in the world frame (m/s), angular in the body frame (rad/s)."""
@@ -144,6 +155,12 @@ class CPhysics:
         self._rows, self._warmstart, self._sensed = self._rows.copy(), self._warmstart.copy(), self._sensed.copy()
         self._reading = None
         return self._view()
+
+    def joint_trail(self) -> np.ndarray:
+        """Positions and velocities of the joints at the `trail` physics steps before, the latest first,
+        (N, trail, 2, 25). What lies before a reset or a given state is as that state."""
+        qpos, qvel = self._past[:, :, self._qpos], self._past[:, :, self._qvel]
+        return np.stack([qpos[..., self._joints.position], qvel[..., self._joints.velocity]], axis=2)
 
     def set_timestep(self, seconds: float) -> None:
         """Physics step from now on, s; the state, solver start included, stays.
@@ -228,12 +245,14 @@ class CPhysics:
         """Step with the gains that the models hold. `position`, `load`: (N, S or 1, 25); `forces`: (N, 6 nbody)."""
         n, m, start = self.copies, self.model, self._rows
         width = m.nu + (0 if forces is None else 6 * m.nbody)
-        control = self._controls.get((substeps, width))
-        if control is None:
-            control = self._controls[substeps, width] = np.zeros((n, substeps, width))
+        kind = substeps, width, load is not None
+        if kind not in self._controls:
+            self._controls[kind] = np.zeros((n, substeps, width))
+        control = self._controls[kind]
         rows, sensed = np.empty((n, substeps, start.shape[1])), np.empty((n, substeps, m.nsensordata))
         control[:, :, self.figures.servos] = position
-        control[:, :, self._loads] = 0.0 if load is None else load
+        if load is not None:
+            control[:, :, self._loads] = load
         spec = int(_CTRL)
         if forces is not None:
             spec |= int(_WRENCH)
@@ -252,6 +271,9 @@ class CPhysics:
         )
         before = start if substeps == 1 else rows[:, -2]
         self._rows, self._sensed = np.ascontiguousarray(rows[:, -1]), np.ascontiguousarray(sensed[:, -1])
+        if self.trail:
+            passed = np.concatenate([self._past[:, ::-1], start[:, None], rows[:, :-1]], axis=1)
+            self._past = passed[:, : -self.trail - 1 : -1]
         # The engine does not hand back its solver state; the last acceleration is as good a start for the next step.
         self._warmstart = (self._rows[:, self._qvel] - before[:, self._qvel]) / self.timestep
         self._due = start[:, 0] + (substeps - 0.5) * self.timestep
@@ -355,14 +377,20 @@ class CPhysics:
         return data.sensordata.copy()
 
 
-def compile_model(profile: str | PhysicsProfile = "evaluation", visuals: bool = True) -> mujoco.MjModel:
-    """The shipped robot on a flat floor under a physics profile.
+def compile_model(
+    profile: str | PhysicsProfile = "evaluation", visuals: bool = True, terrain: Terrain | str | None = None
+) -> mujoco.MjModel:
+    """The shipped robot under a physics profile.
 
     Args:
         profile: name or profile.
         visuals: keep the shapes and textures that only a renderer needs.
+        terrain: the ground, or its name; flat when None.
+
+    Raises:
+        ValueError: the profile or the terrain is unknown.
     """
-    spec = robot_spec(visuals=visuals)
+    spec = robot_spec(visuals=visuals, terrain=terrain)
     physics_profile(profile).apply(spec)
     return spec.compile()
 

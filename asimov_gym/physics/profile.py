@@ -45,8 +45,9 @@ class PhysicsProfile:
         option.ls_iterations = self.ls_iterations
         if not self.bodies_collide:
             for geom in spec.geoms:
-                is_floor, is_foot = geom.name == "floor", "_foot" in geom.name or "_toe" in geom.name
-                geom.contype = int(is_floor and geom.contype != 0)
+                is_ground = geom.parent.name == "world"
+                is_foot = "_foot" in geom.name or "_toe" in geom.name
+                geom.contype = int(is_ground and geom.contype != 0)
                 geom.conaffinity = int(is_foot and geom.conaffinity != 0)
         if not self.dry_friction:
             for joint in spec.joints:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.physics.places import JointPlaces
 from asimov_gym.robot.array_library import namespace
@@ -19,7 +18,7 @@ SPEED_LIMIT = 200.0
 def is_sound(qpos: Any, qvel: Any) -> Any:
     """Copies whose simulation has not diverged, (N,) bool, from positions (N, nq) and velocities (N, nv)."""
     xp = namespace(qpos)
-    slow = xp.max(xp.abs(qvel), axis=1) < SPEED_LIMIT  # false also where a speed is not a number
+    slow = xp.all(xp.abs(qvel) < SPEED_LIMIT, axis=1)  # false also where a speed is not a number
     return slow & xp.all(xp.isfinite(qpos), axis=1)
 
 
@@ -52,7 +51,7 @@ def delayed_position(history: Any, delay: Any, substeps: int) -> Any:
         delay: whole physics steps, (N,) int, at most `substeps * (H - 1)`.
         substeps: physics steps per policy step.
     """
-    xp = array_namespace(history)
+    xp = namespace(history)
     late = delay[:, None] - xp.arange(substeps)[None, :]
     age = xp.where(late > 0, (late + substeps - 1) // substeps, xp.zeros_like(late))
     rows = xp.arange(history.shape[0])[:, None]

@@ -25,6 +25,11 @@ def namespace(*arrays: Any) -> Any:
     return np
 
 
+def within(xp: Any, values: Any, low: Any, high: Any) -> Any:
+    """`values` kept between arrays of bounds; NumPy's own `clip` takes three times as long with such bounds."""
+    return xp.minimum(xp.maximum(values, low), high)
+
+
 def integer(xp: Any) -> Any:
     """The type in which a library counts: 64 bits in NumPy, 32 in JAX as it is set up by default."""
     return xp.__array_namespace_info__().default_dtypes()["integral"]

@@ -189,6 +189,8 @@ def _read_only(values: Sequence[float] | Sequence[tuple[float, float]]) -> np.nd
 
 JOINT_NAMES: tuple[str, ...] = tuple(joint.name for joint in JOINTS)
 MOTOR_NAMES: tuple[str, ...] = tuple(joint.motor_name for joint in JOINTS)
+BODY_NAMES: tuple[str, ...] = ("pelvis_link", *(joint.body for joint in JOINTS))
+"""The robot's bodies: the pelvis, and the one that each joint moves."""
 
 POLICY_JOINT_NAMES: tuple[str, ...] = (
     *JOINT_NAMES[:12],

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 
 _KEEPS_SIGN = frozenset({"neck_pitch_joint"})
@@ -28,7 +28,7 @@ class Mirror:
 
     def __call__(self, vector: Any) -> Any:
         """Mirror an array of shape (..., n) of any array-API library."""
-        xp = array_namespace(vector)
+        xp = namespace(vector)
         taken = xp.take(vector, xp.asarray(self.indices), axis=-1)
         return taken * xp.asarray(self.signs, dtype=vector.dtype)
 

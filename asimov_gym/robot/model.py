@@ -22,6 +22,7 @@ from asimov_gym.robot.revisions import (
     Toe,
     Vector,
 )
+from asimov_gym.robot.terrain import Terrain, terrain_named
 
 _VISUAL_GROUP = 2
 
@@ -60,8 +61,10 @@ class Revision:
         return cls(*parts)
 
 
-def robot_spec(leg_frames: str = "shifted", foot: str = "rigid", visuals: bool = True) -> mujoco.MjSpec:
-    """An editable specification of the robot on its floor.
+def robot_spec(
+    leg_frames: str = "shifted", foot: str = "rigid", visuals: bool = True, terrain: Terrain | str | None = None
+) -> mujoco.MjSpec:
+    """An editable specification of the robot on its ground.
 
     Args:
         leg_frames: `shifted` or `cad`; see `Revision`.
@@ -69,6 +72,7 @@ def robot_spec(leg_frames: str = "shifted", foot: str = "rigid", visuals: bool =
             the 25 actuators, their order and the sensors stay.
         visuals: False drops everything that is only seen (shapes, meshes, textures). The dynamics are the same, a step
             is about a tenth cheaper, and the model is small enough to be copied a thousand times.
+        terrain: the ground, or its name; the flat floor when None. The keyframes stand on it.
 
     Raises:
         ValueError: an option is unknown.
@@ -84,13 +88,17 @@ def robot_spec(leg_frames: str = "shifted", foot: str = "rigid", visuals: bool =
         angles = poses[key.name]
         hinges = [joint.name for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
         key.qpos = [0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0, *(angles.get(name, 0.0) for name in hinges)]
+    if terrain is not None:
+        terrain_named(terrain).lay(spec)
     spec.compiler.discardvisual = not visuals
     return spec
 
 
-def robot_model(leg_frames: str = "shifted", foot: str = "rigid", visuals: bool = True) -> mujoco.MjModel:
+def robot_model(
+    leg_frames: str = "shifted", foot: str = "rigid", visuals: bool = True, terrain: Terrain | str | None = None
+) -> mujoco.MjModel:
     """The compiled model; arguments and errors as for `robot_spec`."""
-    return robot_spec(leg_frames, foot, visuals).compile()
+    return robot_spec(leg_frames, foot, visuals, terrain).compile()
 
 
 def robot_revision(leg_frames: str = "shifted", foot: str = "rigid") -> str:

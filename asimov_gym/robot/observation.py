@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from asimov_gym.robot import mirror
-from asimov_gym.robot.array_library import namespace
+from asimov_gym.robot.array_library import namespace, within
 from asimov_gym.robot.joints import (
     JOINT_NAMES,
     JOINTS,
@@ -138,7 +138,7 @@ class ObservationLayout:
         raw = xp.astype(xp.concat(blocks, axis=-1), xp.float32)
         vector = xp.take(raw, xp.asarray(self._order), axis=-1) * xp.asarray(self.scales)
         bounds = xp.asarray(self.bounds)
-        return xp.clip(vector, -bounds, bounds)
+        return within(xp, vector, -bounds, bounds)
 
 
 def _terms(with_clock: bool) -> tuple[Term, ...]:

@@ -23,6 +23,15 @@ LOW_SOC_PERCENT = 20.0
 """State of charge below which the battery warns."""
 
 
-def has_fallen(gravity: Any, pelvis_height: Any) -> Any:
-    """Robots on the ground, (N,) bool, from body-frame gravity (N, 3) and pelvis height above the ground (N,), m."""
-    return (gravity[:, 2] > FALL_GRAVITY_Z) | (pelvis_height < FALL_HEIGHT)
+def has_fallen(
+    gravity: Any, pelvis_height: Any, gravity_z: Any = FALL_GRAVITY_Z, least_height: Any = FALL_HEIGHT
+) -> Any:
+    """Robots on the ground, (N,) bool, from body-frame gravity (N, 3) and pelvis height above the ground (N,), m.
+
+    Args:
+        gravity: unit vector to the ground.
+        pelvis_height: m.
+        gravity_z: gravity's z above this is a fall; a number, or (N,) one for each robot.
+        least_height: a pelvis below this is a fall, m; a number, or (N,).
+    """
+    return (gravity[:, 2] > gravity_z) | (pelvis_height < least_height)

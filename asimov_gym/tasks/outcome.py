@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from array_api_compat import array_namespace
+from asimov_gym.robot.array_library import namespace
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def settle(
         diverged: copies whose simulation broke down, (N,) bool; their reward means nothing.
         episode_steps: steps after which an episode is out of time.
     """
-    xp = array_namespace(reward)
+    xp = namespace(reward)
     terminated = ended | diverged
     return Outcome(
         state=state,

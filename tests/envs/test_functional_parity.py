@@ -26,6 +26,7 @@ from asimov_gym.policy.network import read_network
 from asimov_gym.tasks.trajectory import TrajectoryConfig
 from asimov_gym.tasks.velocity import VelocityConfig
 from asimov_gym.tasks.walk import WalkConfig
+from asimov_gym.tasks.walk.config import ShoveConfig
 
 # isort: split
 import jax
@@ -64,15 +65,21 @@ def walk_config() -> WalkConfig:
         short,
         command=replace(short.command, interval_s=(0.06, 0.2)),
         kick=replace(short.kick, interval_s=(0.06, 0.2)),
+        shove=ShoveConfig((0.04, 0.1), (0.04, 0.1), {"pelvis_link": 200.0}, {"left_shoulder_pitch_link": 300.0}),
         randomisation=replace(short.randomisation, redraw_share=0.5),
     )
 
 
-def test_numpy_repeats_what_jax_recorded() -> None:
+@pytest.mark.parametrize("terrain", ["flat", "rough:0.03"])
+def test_numpy_repeats_what_jax_recorded(terrain: str) -> None:
     """A walk on JAX and C physics, step for step again on NumPy and C physics with the recorded random numbers: bodies,
-    delays, kicks, commands, noise, the curriculum and the starts of new episodes."""
+    delays, kicks, shoves, commands, noise, the curriculum and the starts of new episodes. On terrain also the places of
+    these starts, and joints that are read late."""
     config = walk_config()
-    env = FunctionalWalk(config, CEngine(CONVERGED), curriculum=True, stagger=True)
+    if terrain != "flat":
+        config = replace(config, terrain=terrain, noise=replace(config.noise, can_slot_delay=True))
+    engine = CEngine(CONVERGED, terrain=terrain, trail=0 if terrain == "flat" else 2)
+    env = FunctionalWalk(config, engine, curriculum=True, stagger=True)
     batch = WalkBatch(config, N, CONVERGED, curriculum=True, autoreset=True)
     step, draws = jax.jit(env.step), jax.jit(env.draws)
     state = jax.jit(env.reset)(keys())

@@ -10,8 +10,9 @@ import pytest
 from asimov_gym.physics import Reading
 from asimov_gym.policy import PolicyDriver, default_contract, load_policy
 from asimov_gym.robot.joints import STAND_POSITION
+from asimov_gym.tasks.walk import WalkTask
 from asimov_gym.tasks.walk.config import WalkConfig
-from asimov_gym.tasks.walk.task import RESET_DRAWS, WalkTask
+from asimov_gym.tasks.walk.state import RESET_DRAWS
 
 N, STEPS = 4, 60
 

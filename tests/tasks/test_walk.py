@@ -14,12 +14,13 @@ from asimov_gym.robot import frames, mirror
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask, rewards
 from asimov_gym.tasks.walk import task as walk
+from asimov_gym.tasks.walk.state import COMMAND_DRAWS, POSE_DRAWS, RESET_DRAWS, SENSOR_DRAWS
 
 
 def _random_motion(task: WalkTask, n: int = 16, seed: int = 0) -> tuple[WalkState, Reading]:
     """A state and reading with every entry alive."""
     rng = np.random.default_rng(seed)
-    state = task.initial_state(rng.random((n, walk.RESET_DRAWS)))
+    state = task.initial_state(rng.random((n, RESET_DRAWS)))
     state = replace(
         state,
         command=rng.uniform(-0.5, 0.5, (n, 3)),
@@ -27,7 +28,7 @@ def _random_motion(task: WalkTask, n: int = 16, seed: int = 0) -> tuple[WalkStat
         action=rng.standard_normal((n, 3, 23)),
         mean_velocity=rng.uniform(-0.5, 0.5, (n, 3)),
     )
-    _, _, quat, _ = task.initial_pose(rng.random((n, walk.POSE_DRAWS)))
+    _, _, quat, _ = task.initial_pose(rng.random((n, POSE_DRAWS)))
     reading = Reading(
         base_position=rng.normal(0, 0.1, (n, 3)) + np.array([0, 0, 0.6]),
         base_quat=quat,
@@ -170,7 +171,7 @@ def test_targets_hold_the_neck_and_stay_in_range() -> None:
 
 def test_commands_fill_their_ranges_and_stand_now_and_then() -> None:
     task = WalkTask()
-    commands, lifetimes = task.draw_command(np.random.default_rng(0).random((20000, walk.COMMAND_DRAWS)))
+    commands, lifetimes = task.draw_command(np.random.default_rng(0).random((20000, COMMAND_DRAWS)))
     c = task.config.command
     for axis, (low, high) in enumerate((c.vx, c.vy, c.wz)):
         assert low <= commands[:, axis].min() < low + 0.02 and high - 0.02 < commands[:, axis].max() <= high
@@ -187,7 +188,7 @@ def test_clock_rests_while_standing_and_commands_are_renewed() -> None:
         state, command=np.array([[0.0, 0, 0], [0.5, 0, 0]]), command_left=np.array([5, 1]), phase=np.array([1.0, 1.0])
     )
     assert (task.clock(state)[0] == 0).all() and np.allclose(task.clock(state)[1], [np.cos(1), np.sin(1)])
-    after = task.advance(state, np.full((2, walk.COMMAND_DRAWS), 0.5))
+    after = task.advance(state, np.full((2, COMMAND_DRAWS), 0.5))
     assert after.phase[0] == 1.0 and after.phase[1] == pytest.approx(1.0 + 2 * np.pi * 1.5 * 0.02)
     assert (after.command[0] == 0).all() and after.command_left[0] == 4
     assert after.command_left[1] > 100
@@ -208,7 +209,7 @@ def test_noise_stays_within_its_bounds_and_spares_the_critic() -> None:
     state, reading = _random_motion(task)
     state = replace(state, joint_zero=np.zeros((16, 25)))
     clean = task.observe(state, reading)
-    edge = task.observe(state, reading, np.ones((16, walk.SENSOR_DRAWS)))
+    edge = task.observe(state, reading, np.ones((16, SENSOR_DRAWS)))
     slices, n = task.layout.slices, task.config.noise
     np.testing.assert_allclose((edge - clean)[:, slices["gyro"]], 0.25 * n.gyro, atol=1e-5)
     np.testing.assert_allclose((edge - clean)[:, slices["joint_velocity_1"]], 0.1 * n.joint_velocity, atol=1e-5)

@@ -12,8 +12,8 @@ pytest.importorskip("torch", reason="the training extra is not installed: pip in
 pytest.importorskip("rsl_rl", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
 pytest.importorskip("tensorboard", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
 
-from asimov_gym.evaluation.report import Report
-from asimov_gym.evaluation.walking import CommandResult, StandingResult
+from asimov_gym.evaluation.runner import run_suite
+from asimov_gym.evaluation.suite import parse_suite
 from asimov_gym.policy import load_policy
 from train.__main__ import main
 from train.card import joined_curves, write_card
@@ -48,23 +48,24 @@ def test_curves_of_stages_follow_each_other(stages: list[RunFolder]) -> None:
 
 
 def test_card_holds_what_was_measured(stages: list[RunFolder], tmp_path: Path) -> None:
-    result = CommandResult((0.5, 0, 0), 19, 20, (0.48, 0, 0), 0.0213, 0.03, 0.05, 0.1)
-    report = Report([result], StandingResult(20, 20, 0.0123, 0.001, 0.0), [])
     folder = stages[-1]
-    write_card(
-        folder, load_policy(folder.path / "policy.onnx"), report, tmp_path / "p.md", "Watch the left knee.", stages[:1]
-    )
+    policy = load_policy(folder.path / "policy.onnx")
+    walk = {"config": "standing", "walks": {"still": [0, 0, 0]}, "duration": 0.5, "repeats": 2}
+    result = run_suite(policy, parse_suite({"scenarios": [walk]}, "tiny"))
+    write_card(folder, policy, result, tmp_path / "p.md", "Watch the left knee.", stages[:1])
     card = (tmp_path / "p.md").read_text()
     for words in (
-        "19 of 20",
-        "0.021",
+        "2 of 2 trials of 1 scenario run, 2 without a fall",
+        f"`asimov eval policy.onnx --suite tiny` (hash `{result.suite_hash}`)",
         "| 1 | `smoke` | 256 |",
         "| 2 | `smoke` | 256 |",
         "Watch the left knee.",
         "1.5 Hz",
     ):
         assert words in card, words
-    assert json.loads((tmp_path / "p.json").read_text())["summary"]["falls"] == 1
+    figures = json.loads((tmp_path / "p.json").read_text())
+    assert figures["suite"] == "tiny" and figures["policy_hash"] == policy.sha256
+    assert {bar["name"]: bar["verdict"] for bar in figures["bars"]}["standing: steps taken"] in ("met", "not measured")
     assert (tmp_path / "p.curves.png").stat().st_size > 10_000
     rows = np.loadtxt(tmp_path / "p.curves.csv", delimiter=",", skiprows=1)
     assert rows.shape[0] == 200 and np.isfinite(rows).all()

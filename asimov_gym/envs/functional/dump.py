@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,22 +33,24 @@ class DivergenceDump:
     def watch(self, world: Any, action: Any, draws: Any, diverged: Any) -> None:
         """Write a file if any copy diverged; works inside compiled functions."""
         step = {"world": world, "action": action, "draws": dict(draws)}
+        # Without empty arrays: XLA loses count of them in a branch with a callback.
+        arrays = {_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(step) if leaf.size}
         jax.lax.cond(
             jnp.any(diverged),
-            lambda: jax.debug.callback(self._write, step, diverged),
+            lambda: jax.debug.callback(self._write, arrays, diverged),
             lambda: None,
         )
 
-    def _write(self, step: Any, diverged: Any) -> None:
+    def _write(self, arrays: Mapping[str, Any], diverged: Any) -> None:
         bad = np.flatnonzero(np.asarray(diverged))
         if not len(bad):  # a branch that `jax.vmap` has made into a selection
             return
-        arrays = {_name(path): np.asarray(leaf)[bad] for path, leaf in jax.tree_util.tree_leaves_with_path(step)}
+        rows = {name: np.asarray(array)[bad] for name, array in arrays.items()}
         with self._lock:
             self._count += 1
             path = self._folder / f"diverged_{self._count:06d}.npz"
         self._folder.mkdir(parents=True, exist_ok=True)
-        np.savez(path, allow_pickle=False, **arrays)
+        np.savez(path, allow_pickle=False, **rows)
         _log.warning("simulation of %d copies diverged; their state is in %s", len(bad), path)
 
 
@@ -61,9 +64,12 @@ def read_dump(env: FunctionalEnv, path: Path) -> tuple[Any, np.ndarray, dict[str
     """
     with np.load(path) as file:
         arrays = dict(file)
+    copies = len(arrays["action"]) if "action" in arrays else 0
 
     def fill(place: Any, leaf: Any) -> np.ndarray:
         name, shape = _name((jax.tree_util.DictKey("world"), *place)), leaf.shape[1:]
+        if 0 in shape:
+            return np.zeros((copies, *shape), dtype=leaf.dtype)
         if name not in arrays or arrays[name].shape[1:] != shape:
             raise ValueError(f"{path} is not of this environment: it lacks {name} of shape (n, *{shape})")
         return arrays[name]

@@ -19,6 +19,7 @@ from asimov_gym.envs.functional.state import EnvState
 from asimov_gym.physics.functional import Engine, make_engine
 from asimov_gym.physics.functional.engine import choose
 from asimov_gym.physics.profile import PhysicsProfile
+from asimov_gym.robot.terrain import FLAT, Terrain
 from asimov_gym.tasks.outcome import Outcome
 
 Draws = Mapping[str, Any]
@@ -64,6 +65,8 @@ class FunctionalEnv(abc.ABC):
         threads: size of the thread pool of C physics.
         autoreset: whether episodes follow each other.
         dump_dir: where the state of diverged copies is written; nothing is when None.
+        terrain: the ground; an engine must have been made with the same.
+        trail: how many earlier moments of the joints the engine has to remember.
     """
 
     step_draws: Mapping[str, int]
@@ -85,8 +88,18 @@ class FunctionalEnv(abc.ABC):
         threads: int | None,
         autoreset: bool,
         dump_dir: Path | None,
+        terrain: Terrain = FLAT,
+        trail: int = 0,
     ) -> None:
-        self.engine = make_engine(physics, profile, threads) if isinstance(physics, str) else physics
+        if isinstance(physics, str):
+            physics = make_engine(physics, profile, threads, terrain, trail)
+        if physics.terrain != terrain:
+            raise ValueError(
+                f"physics is an engine on terrain {physics.terrain.name!r}, the task needs {terrain.name!r}"
+            )
+        if physics.trail < trail:
+            raise ValueError(f"physics is an engine with trail={physics.trail}, the task needs trail={trail}")
+        self.engine = physics
         self.autoreset = autoreset
         self._dump = None if dump_dir is None else DivergenceDump(dump_dir)
 

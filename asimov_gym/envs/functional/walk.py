@@ -50,14 +50,13 @@ class FunctionalWalk(FunctionalEnv):
         command: velocity command to keep in every episode, (3,) or (N, 3); rows of NaN, or None, are drawn.
         randomise: give each copy its own body figures and action delay; otherwise nominal figures and no delay.
         noise: add sensor noise to the actor's observation.
-        kicks: kick the pelvis now and then.
+        kicks: disturb the robot now and then, by the configuration's kicks and shoves.
         curriculum: start penalties and kicks at their first level, and let them grow; otherwise at their last.
         stagger: start the first episodes at random times of their life, so that they do not all end together.
         autoreset: whether episodes follow each other.
         dump_dir: where the state of diverged copies is written.
     """
 
-    step_draws = walk.STEP_DRAWS
     dt = walk.DT
 
     def __init__(
@@ -76,10 +75,12 @@ class FunctionalWalk(FunctionalEnv):
         autoreset: bool = True,
         dump_dir: Path | None = None,
     ) -> None:
-        super().__init__(physics, profile, threads, autoreset, dump_dir)
         self.task = WalkTask(config)
         self.config = self.task.config
-        self.start_draws = {**walk.START_DRAWS, "stagger": 1}
+        trail = self.task.trail if noise else 0
+        super().__init__(physics, profile, threads, autoreset, dump_dir, self.task.terrain, trail)
+        self.step_draws = self.task.step_draws
+        self.start_draws = {**self.task.start_draws, "stagger": 1}
         self.observation_space, self.action_space = walk_spaces(self.task)
         self._command = command
         self.copies = None if command is None or np.ndim(command) == 1 else len(command)
@@ -90,6 +91,8 @@ class FunctionalWalk(FunctionalEnv):
         joints, height, quat, velocity = self.task.initial_pose(draws["pose"])
         n = height.shape[0]
         position = jnp.stack([jnp.zeros(n), jnp.zeros(n), height], axis=-1)
+        if not self.task.terrain.is_flat:
+            position = position + self.task.place(draws["place"])
         qvel = jnp.zeros((n, self.engine.model.nv)).at[:, 0:6].set(velocity)
         simulation = self.engine.start(self.engine.configuration(joints, position, quat), qvel)
         state = self.task.initial_state(draws["state"], self.randomise, self._noise)
@@ -125,9 +128,11 @@ class FunctionalWalk(FunctionalEnv):
         if self._kicks:
             state, velocity = self.task.kick(state, draws["kick"], levels.kick)
             simulation = self.engine.kick(simulation, velocity)
+            state = self.task.shove(state, draws["shove"], levels.kick)
+        wrench = self.task.wrench(state) if self.config.shove.bodies else None
         target = JointTarget(self.task.targets(state))
         body = world.body if self.randomise else None
-        simulation, diverged = self.engine.step(simulation, target, DECIMATION, body)
+        simulation, diverged = self.engine.step(simulation, target, DECIMATION, body, wrench)
         reading = self.engine.read(simulation)
         outcome = self.task.conclude(state, reading, diverged, draws["command"], levels.penalty)
         if self._curriculum:
@@ -139,9 +144,13 @@ class FunctionalWalk(FunctionalEnv):
 
     def observe(self, world: WalkWorld, draws: Draws) -> dict[str, Any]:
         reading = self.engine.read(world.simulation)
-        noise = draws["sensors"] if self._noise else None
+        noise, sensed = draws["sensors"] if self._noise else None, reading
+        if self._noise and self.config.noise.can_slot_delay:
+            trail = world.simulation.joint_trail
+            assert trail is not None  # the engine was checked for it
+            sensed = self.task.sensed(reading, trail[:, : self.task.trail], draws["bus"])
         return {
-            "state": self.task.observe(world.task, reading, noise),
+            "state": self.task.observe(world.task, sensed, noise),
             "privileged_state": self.task.privilege(world.task, reading, world.body),
         }
 

@@ -7,7 +7,7 @@ loops over steps small, and a copy is restarted by exchanging a few rows.
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -23,6 +23,7 @@ from asimov_gym.physics.profile import ENGINES, PhysicsProfile, physics_profile
 from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading
 from asimov_gym.robot.joints import JOINT_NAMES
 from asimov_gym.robot.model import robot_spec
+from asimov_gym.robot.terrain import FLAT, Terrain, terrain_named
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,9 @@ class Simulation:
     foot_velocity: Any
     foot_up: Any
     foot_force: Any
+    joint_trail: Any | None = None
+    """Positions and velocities of the joints at the K physics steps before, the latest first, (N, K, 2, 25); None where
+    the engine remembers none."""
 
 
 def register(cls: type) -> None:
@@ -60,13 +64,23 @@ class Engine(abc.ABC):
 
     Args:
         profile: physics profile.
-        spec: another robot than the shipped one, or other surroundings; the profile is laid over it.
+        spec: another robot than the shipped one, or other surroundings; terrain and profile are laid over it.
+        terrain: the ground, or its name; flat when None.
+        trail: how many earlier moments of the joints a simulation remembers, at most the substeps of a step.
     """
 
     name: str
 
-    def __init__(self, profile: str | PhysicsProfile = "training", spec: Callable[[], mujoco.MjSpec] | None = None):
+    def __init__(
+        self,
+        profile: str | PhysicsProfile = "training",
+        spec: Callable[[], mujoco.MjSpec] | None = None,
+        terrain: Terrain | str | None = None,
+        trail: int = 0,
+    ) -> None:
         self.profile = physics_profile(profile)
+        self.terrain = FLAT if terrain is None else terrain_named(terrain)
+        self.trail = trail
         self._make_spec = spec or (lambda: robot_spec(visuals=False))
         self.model = self._spec().compile()
         """For C MuJoCo; an engine may simulate a variant of it."""
@@ -83,6 +97,7 @@ class Engine(abc.ABC):
     def _spec(self) -> mujoco.MjSpec:
         """A fresh specification of what is simulated."""
         spec = self._make_spec()
+        self.terrain.lay(spec)
         self.profile.apply(spec)
         return spec
 
@@ -103,8 +118,13 @@ class Engine(abc.ABC):
         n = qpos.shape[0]
         sensed = {name: jnp.tile(value, (n, *(1,) * (value.ndim - 1))) for name, value in self._at_rest.items()}
         qvel = jnp.asarray(qvel, dtype=jnp.float32)
-        time = jnp.zeros(n, dtype=jnp.float32)
-        return Simulation(time, jnp.asarray(qpos, dtype=jnp.float32), qvel, jnp.zeros_like(qvel), **sensed)
+        qpos, time = jnp.asarray(qpos, dtype=jnp.float32), jnp.zeros(n, dtype=jnp.float32)
+        still = jnp.repeat(self.joint_state(qpos, qvel)[:, None], self.trail, axis=1) if self.trail else None
+        return Simulation(time, qpos, qvel, jnp.zeros_like(qvel), **sensed, joint_trail=still)
+
+    def joint_state(self, qpos: Any, qvel: Any) -> Any:
+        """Positions and velocities of the joints, joint order, (..., 2, 25), of generalised ones."""
+        return jnp.stack([qpos[..., self.joints.position], qvel[..., self.joints.velocity]], axis=-2)
 
     def stand(self, copies: int) -> Simulation:
         """N robots in keyframe `stand`."""
@@ -122,7 +142,8 @@ class Engine(abc.ABC):
 
     def physics_state(self, simulation: Simulation) -> PhysicsState:
         """The same state as C physics takes, NumPy, float64. Sensors that no reading needs are zero."""
-        arrays = {name: np.array(value, dtype=np.float64) for name, value in vars(simulation).items()}
+        values = {name: value for name, value in vars(simulation).items() if name != "joint_trail"}
+        arrays = {name: np.array(value, dtype=np.float64) for name, value in values.items()}
         n, places = len(arrays["time"]), SensorPlaces(self.model)
         sensors = np.zeros((n, self.model.nsensordata))
         sensors[:, places.torque] = arrays.pop("joint_torque")
@@ -134,7 +155,12 @@ class Engine(abc.ABC):
 
     @abc.abstractmethod
     def step(
-        self, simulation: Simulation, target: JointTarget, substeps: int, body: BodyParameters | None = None
+        self,
+        simulation: Simulation,
+        target: JointTarget,
+        substeps: int,
+        body: BodyParameters | None = None,
+        wrench: Mapping[str, Any] | None = None,
     ) -> tuple[Simulation, Any]:
         """Advance by `substeps` physics steps.
 
@@ -144,6 +170,8 @@ class Engine(abc.ABC):
                 (N, 25).
             substeps: physics steps, at least 1.
             body: figures of each copy; the model's own when None.
+            wrench: force and torque on bodies at their centres of mass, world frame, (N, 6) by body name, held for the
+                call.
 
         Returns:
             The robots, and which of them diverged, (N,) bool: those stand at the origin again, at time 0.
@@ -169,23 +197,31 @@ def choose(which: Any, chosen: Any, others: Any) -> Any:
     return jax.tree.map(pick, chosen, others)
 
 
-def make_engine(name: str, profile: str | PhysicsProfile = "training", threads: int | None = None) -> Engine:
+def make_engine(
+    name: str,
+    profile: str | PhysicsProfile = "training",
+    threads: int | None = None,
+    terrain: Terrain | str | None = None,
+    trail: int = 0,
+) -> Engine:
     """An engine by name.
 
     Args:
         name: one of `ENGINES`.
         profile: physics profile.
         threads: size of the thread pool of C physics; the machine's cores by default.
+        terrain: the ground, or its name; flat when None.
+        trail: how many earlier moments of the joints a simulation remembers.
 
     Raises:
-        ValueError: the name is unknown, or the engine cannot run the profile; says what can be done.
+        ValueError: the name is unknown, or the engine cannot run the profile or the terrain; says what can be done.
         ModuleNotFoundError: what the engine needs is not installed.
     """
     from asimov_gym.physics.functional.c_engine import CEngine
     from asimov_gym.physics.functional.mjx_engine import MjxEngine
 
     if name == "c":
-        return CEngine(profile, threads)
+        return CEngine(profile, threads, terrain=terrain, trail=trail)
     if name in ("mjx", "warp"):
-        return MjxEngine(profile, "jax" if name == "mjx" else "warp")
+        return MjxEngine(profile, "jax" if name == "mjx" else "warp", terrain=terrain, trail=trail)
     raise ValueError(f"physics must be one of {', '.join(ENGINES)}, got {name!r}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Literal
 
@@ -15,30 +15,31 @@ import numpy as np
 from mujoco import mjx
 
 from asimov_gym.physics.functional.engine import Engine, Simulation, choose, rows
+from asimov_gym.physics.functional.ground_contact import foot_signs, ground_force, possible_contacts
 from asimov_gym.physics.parameters import BodyParameters
 from asimov_gym.physics.profile import PhysicsProfile
 from asimov_gym.physics.quantities import JointTarget, is_sound
 from asimov_gym.robot.joints import JOINT_NAMES
+from asimov_gym.robot.terrain import Terrain
 
 Backend = Literal["jax", "warp"]
-_FORCE, _NORMAL, _TANGENT = 1 << 1, 1 << 5, 1 << 6  # bits of mjtConDataField
-_NEAREST = 1  # contact sensors report the deepest contacts first
-_CONTACTS = {mujoco.mjtGeom.mjGEOM_SPHERE: 1, mujoco.mjtGeom.mjGEOM_CAPSULE: 2, mujoco.mjtGeom.mjGEOM_BOX: 4}
-"""Most contacts of a foot's shape with the ground."""
 
 
 class MjxEngine(Engine):
     """MJX as a function of its state.
 
-    The arrays for contacts and constraints are as large as this robot can ever need, so they cannot overflow.
+    The arrays for contacts and constraints are as large as this robot can ever need on its terrain, so they cannot
+    overflow.
 
     Args:
         profile: physics profile; one in which only the feet touch the ground, and without noslip iterations.
         backend: `jax` or `warp`.
         spec: another robot than the shipped one, or other surroundings.
+        terrain: the ground, or its name; flat when None.
+        trail: how many earlier moments of the joints a simulation remembers.
 
     Raises:
-        ValueError: MJX cannot run the profile.
+        ValueError: MJX cannot run the profile or the terrain.
         ModuleNotFoundError: the warp backend is wanted and not installed.
     """
 
@@ -47,8 +48,10 @@ class MjxEngine(Engine):
         profile: str | PhysicsProfile = "training",
         backend: Backend = "jax",
         spec: Callable[[], mujoco.MjSpec] | None = None,
+        terrain: Terrain | str | None = None,
+        trail: int = 0,
     ) -> None:
-        super().__init__(profile, spec)
+        super().__init__(profile, spec, terrain, trail)
         if self.profile.bodies_collide or self.profile.noslip_iterations:
             raise ValueError(
                 f"physics profile {self.profile.name!r} cannot run on MJX, which has no noslip iterations and would "
@@ -62,7 +65,10 @@ class MjxEngine(Engine):
         self.name = "mjx" if backend == "jax" else "warp"
         self._backend = backend
         variant = self._variant()
-        self._sensors = _Sensors(variant, summed=backend == "jax")
+        self.contacts = possible_contacts(variant, self.terrain.name)
+        """Most contacts that one robot can have at a time."""
+        self._sensors = _Sensors(variant)
+        self._foot_signs = foot_signs(variant)
         self._variant_model = variant
         self._mjx_model = mjx.put_model(variant, impl=backend)
         if backend == "warp":
@@ -71,24 +77,24 @@ class MjxEngine(Engine):
         self._servos = np.array([variant.actuator(n.removesuffix("_joint")).id for n in JOINT_NAMES])
         limits = variant.jnt_actfrcrange[[variant.joint(n).id for n in JOINT_NAMES]].astype(np.float32)
         self._limits = limits[:, 0], limits[:, 1]
-        feet = {variant.geom(int(i)).name: variant.geom_type[i] for i in self.figures.feet}
-        self._contacts = sum(_CONTACTS[mujoco.mjtGeom(kind)] for kind in feet.values())
         self._data: dict[int, mjx.Data] = {}
 
     def _variant(self) -> mujoco.MjModel:
         """The model with the sensors that the backend has, and that a reading needs."""
         spec = self._spec()
         for sensor in list(spec.sensors):
+            # The jax backend has no sensors of the force between two bodies.
             if sensor.name.startswith("imu_") or (self._backend == "jax" and sensor.name in _FOOT_FORCES):
                 spec.delete(sensor)
-        if self._backend == "jax":  # it has contact sensors between two shapes only
-            for geom in spec.geoms:
-                if _is_sole(geom.name):
-                    _add_force_sensor(spec, geom)
         return spec.compile()
 
     def step(
-        self, simulation: Simulation, target: JointTarget, substeps: int, body: BodyParameters | None = None
+        self,
+        simulation: Simulation,
+        target: JointTarget,
+        substeps: int,
+        body: BodyParameters | None = None,
+        wrench: Mapping[str, Any] | None = None,
     ) -> tuple[Simulation, Any]:
         n = simulation.qpos.shape[0]
         body = BodyParameters() if body is None else body
@@ -98,7 +104,7 @@ class MjxEngine(Engine):
             load = load + kd[:, None, :] * rows(target.velocity, substeps)
         one = partial(self._step_one, self._template(n))
         with jax.default_matmul_precision("highest"):  # the tensor cores' rounding would spoil the dynamics
-            after = jax.vmap(one)(simulation, rows(target.position, substeps), load, kp, kd, body)
+            after = jax.vmap(one)(simulation, rows(target.position, substeps), load, kp, kd, body, dict(wrench or {}))
         diverged = ~is_sound(after.qpos, after.qvel)
         return choose(diverged, self.stand(n), after), diverged
 
@@ -111,19 +117,30 @@ class MjxEngine(Engine):
         kp: jax.Array,
         kd: jax.Array,
         body: BodyParameters,
+        wrench: Mapping[str, jax.Array],
     ) -> Simulation:
-        """One robot through all substeps; targets and loads are (S, 25), gains (25,)."""
+        """One robot through all substeps; targets and loads are (S, 25), gains (25,), wrenches (6,) by body name."""
         model = self._laden(body)
         data = data.replace(
             time=simulation.time, qpos=simulation.qpos, qvel=simulation.qvel, qacc_warmstart=simulation.warmstart
         )
+        if wrench:
+            pushed = np.array([self._variant_model.body(name).id for name in wrench])
+            forces = jnp.stack([jnp.asarray(value, jnp.float32) for value in wrench.values()])
+            data = data.replace(xfrc_applied=data.xfrc_applied.at[pushed].set(forces))
 
-        def substep(data: mjx.Data, row: tuple[jax.Array, jax.Array]) -> tuple[mjx.Data, None]:
+        def substep(data: mjx.Data, row: tuple[jax.Array, jax.Array]) -> tuple[mjx.Data, Any]:
             driven, control = self._driven(model, data, *row, kp, kd)
-            return mjx.step(driven, data.replace(ctrl=control)), None
+            start = self.joint_state(data.qpos, data.qvel) if self.trail else None
+            return mjx.step(driven, data.replace(ctrl=control)), start
 
-        data, _ = jax.lax.scan(substep, data, (position, load))
+        data, starts = jax.lax.scan(substep, data, (position, load))
         sensed, places, feet = data.sensordata, self._sensors, (2, 3)
+        if self._backend == "jax":
+            elliptic = self._variant_model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
+            foot_force = ground_force(data, elliptic, self._foot_signs)
+        else:
+            foot_force = sensed[places.foot_force].reshape(feet)
         return Simulation(
             time=data.time,
             qpos=data.qpos,
@@ -133,7 +150,8 @@ class MjxEngine(Engine):
             foot_position=sensed[places.foot_position].reshape(feet),
             foot_velocity=sensed[places.foot_velocity].reshape(feet),
             foot_up=sensed[places.foot_up].reshape(feet),
-            foot_force=places.force(sensed),
+            foot_force=foot_force,
+            joint_trail=starts[::-1][: self.trail] if self.trail else None,
         )
 
     def _driven(
@@ -186,7 +204,7 @@ class MjxEngine(Engine):
                 model = self._variant_model
                 rows_each = 4 if model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL else 3
                 limits = int(model.jnt_limited.sum() + (model.dof_frictionloss > 0).sum())
-                sizes = {"naconmax": copies * self._contacts, "njmax": limits + rows_each * self._contacts}
+                sizes = {"naconmax": copies * self.contacts, "njmax": limits + rows_each * self.contacts}
             with jax.ensure_compile_time_eval():
                 self._data[key] = mjx.make_data(self._variant_model, impl=self._backend, **sizes)
         return self._data[key]
@@ -195,36 +213,10 @@ class MjxEngine(Engine):
 _FOOT_FORCES = ("left_foot_force", "right_foot_force")
 
 
-def _is_sole(geom: str) -> bool:
-    """Whether a shape is one that a foot touches the ground with."""
-    return "_foot" in geom or "_toe" in geom
-
-
-def _force_sensor(geom: str) -> str:
-    return f"{geom}_force"
-
-
-def _add_force_sensor(spec: mujoco.MjSpec, geom: mujoco.MjsGeom) -> None:
-    sensor = spec.add_sensor(
-        name=_force_sensor(geom.name),
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_GEOM,
-        objname="floor",
-        reftype=mujoco.mjtObj.mjOBJ_GEOM,
-        refname=geom.name,
-    )
-    sensor.intprm[0:3] = (_FORCE | _NORMAL | _TANGENT, _NEAREST, _CONTACTS[geom.type])
-
-
 class _Sensors:
-    """Places of a reading's quantities among the variant's sensors.
+    """Places of a reading's quantities among the variant's sensors."""
 
-    Args:
-        model: the variant.
-        summed: whether the force on a foot is the sum over contact sensors of its shapes.
-    """
-
-    def __init__(self, model: mujoco.MjModel, summed: bool) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         def places(*names: str) -> np.ndarray:
             sensors = [model.sensor(name) for name in names]
             return np.concatenate([np.arange(s.adr[0], s.adr[0] + s.dim[0]) for s in sensors])
@@ -234,27 +226,8 @@ class _Sensors:
 
         self.torque = places(*(name.removesuffix("_joint") + "_torque" for name in JOINT_NAMES))
         self.foot_position, self.foot_velocity, self.foot_up = feet("position"), feet("velocity"), feet("up")
-        self._contacts = None
-        if not summed:
-            self._force = feet("force")
-            return
-        soles = [model.geom(i).name for i in range(model.ngeom) if _is_sole(model.geom(i).name)]
-        self._contacts = [
-            places(*(_force_sensor(name) for name in soles if name.startswith(side))) for side in ("left", "right")
-        ]
-
-    def force(self, sensed: jax.Array) -> jax.Array:
-        """Net force of the ground on each foot, world frame, (2, 3)."""
-        if self._contacts is None:
-            return sensed[self._force].reshape(2, 3)
-        return jnp.stack([_world_force(sensed[places].reshape(-1, 9)) for places in self._contacts])
-
-
-def _world_force(contacts: jax.Array) -> jax.Array:
-    """Sum of contact forces, (3,), from rows of force in the contact's frame, its normal and its first tangent."""
-    force, normal, tangent = contacts[:, 0:3], contacts[:, 3:6], contacts[:, 6:9]
-    other = jnp.cross(normal, tangent)
-    return jnp.sum(force[:, 0:1] * normal + force[:, 1:2] * tangent + force[:, 2:3] * other, axis=0)
+        names = {model.sensor(i).name for i in range(model.nsensor)}
+        self.foot_force = feet("force") if names.issuperset(_FOOT_FORCES) else None
 
 
 def _without_warnings(model: mjx.Model) -> mjx.Model:

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, JointTarget, Reading
 from asimov_gym.robot import ankle
-from asimov_gym.robot.array_library import integer, real
+from asimov_gym.robot.array_library import integer, namespace, real
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE
 from asimov_gym.robot.motor import DEFAULT_HEAT, heat
 from asimov_gym.robot.safety_limits import TRIP_C, has_fallen
@@ -79,7 +78,7 @@ class TrajectoryTask:
     def initial_pose(self, draws: Any) -> tuple[Any, Any]:
         """Joint positions (N, 25) at the motion's first frame, a little disturbed, and headings (N,), rad, from draws
         (N, START_DRAWS)."""
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         centred = 2.0 * draws - 1.0
         first = xp.asarray(self.motion.frames[0], dtype=draws.dtype)
         joints = first + self.config.start_noise * centred[:, 1:]
@@ -88,7 +87,7 @@ class TrajectoryTask:
 
     def initial_state(self, joint_position: Any) -> TrajectoryState:
         """State of fresh copies that hold their pose (N, 25); their motors are cold and unloaded."""
-        xp = array_namespace(joint_position)
+        xp = namespace(joint_position)
         return TrajectoryState(
             step=xp.zeros(joint_position.shape[0], dtype=integer(xp)),
             target=xp.stack([joint_position, joint_position], axis=1),
@@ -100,7 +99,7 @@ class TrajectoryTask:
 
     def target(self, action: Any) -> tuple[JointTarget, Any]:
         """Joint command of actions (N, 25) or, with gains, (N, 75); and how many values were clipped, (N,)."""
-        xp = array_namespace(action)
+        xp = namespace(action)
         wanted = ankle.to_joint_position(action[:, :_JOINTS], self.config.ankle)
         low, high = (xp.asarray(RANGE[:, i], dtype=action.dtype) for i in (0, 1))
         position = xp.clip(wanted, low, high)
@@ -116,7 +115,7 @@ class TrajectoryTask:
 
     def advance(self, state: TrajectoryState, target: JointTarget, reading: Reading) -> TrajectoryState:
         """State after a step that drove to `target` and ended in `reading`."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         torque = ankle.to_motor_torque(reading.joint_torque, reading.joint_position, self.config.ankle)
         return replace(
             state,
@@ -135,7 +134,7 @@ class TrajectoryTask:
 
     def reward(self, state: TrajectoryState, reading: Reading) -> tuple[Any, dict[str, Any]]:
         """Reward of the step that led to `state`, (N,), and the share of each term per second."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         tracking = rewards.Tracking(
             reading=reading,
             reference=self._frame(xp, self.motion.frames, state.step),
@@ -150,14 +149,14 @@ class TrajectoryTask:
 
     def overheated(self, state: TrajectoryState) -> Any:
         """Copies with a motor at the temperature at which the robot goes limp, (N,) bool."""
-        xp = array_namespace(state.temperature)
+        xp = namespace(state.temperature)
         return xp.any(state.temperature >= TRIP_C, axis=-1)
 
     # -- what learners see ---------------------------------------------------------------------------------------------
 
     def observe(self, state: TrajectoryState, reading: Reading) -> dict[str, Any]:
         """Telemetry by its field names, the reference (N, K, 25) and the phase (N, 2)."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         fallen = self.fallen(reading)
         observation = telemetry.measure(reading, state.torque, state.temperature, self.config.ankle)
         observation["fw_mode"] = xp.full_like(state.step, telemetry.FW_MODE_MOVE)

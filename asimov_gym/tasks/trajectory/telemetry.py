@@ -11,12 +11,11 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.physics import Reading
 from asimov_gym.robot import ankle
 from asimov_gym.robot.alerts import DAMP_LATCHED, AlertId, error_bit
-from asimov_gym.robot.array_library import integer
+from asimov_gym.robot.array_library import integer, namespace
 from asimov_gym.robot.joints import JOINT_NAMES, RANGE, VELOCITY_LIMIT, joint_index
 from asimov_gym.robot.motor import PEAK_CURRENT, motor_current
 from asimov_gym.robot.safety_limits import TRIP_C, WARNING_C
@@ -72,7 +71,7 @@ def measure(reading: Reading, torque: Any, temperature: Any, form: ankle.Form) -
         temperature: of the motors, degrees Celsius, (N, 25).
         form: of the ankle linkage.
     """
-    xp = array_namespace(reading.gyro)
+    xp = namespace(reading.gyro)
     values = {
         "joint_pos": ankle.to_motor_position(reading.joint_position, form),
         "joint_vel": ankle.to_motor_velocity(reading.joint_velocity, reading.joint_position, form),
@@ -98,7 +97,7 @@ def alert_count(fallen: Any, temperature: Any) -> Any:
         fallen: (N,) bool.
         temperature: of the motors, degrees Celsius, (N, 25).
     """
-    xp = array_namespace(temperature)
+    xp = namespace(temperature)
     count = integer(xp)
     hot = xp.sum(xp.astype(temperature >= WARNING_C, count) + xp.astype(temperature >= TRIP_C, count), axis=-1)
     return hot + xp.astype(fallen, count)
@@ -106,7 +105,7 @@ def alert_count(fallen: Any, temperature: Any) -> Any:
 
 def error_flags(fallen: Any, temperature: Any) -> Any:
     """The robot's error bits, (N,) int; arguments as of `alert_count`."""
-    xp = array_namespace(temperature)
+    xp = namespace(temperature)
     tripped = xp.any(temperature >= TRIP_C, axis=-1)
     bits = error_bit(AlertId.FALL_DETECTED) * xp.astype(fallen, integer(xp))
     bits = bits + error_bit(AlertId.MOTOR_OVERTEMP) * xp.astype(tripped, integer(xp))

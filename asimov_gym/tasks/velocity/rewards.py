@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from array_api_compat import array_namespace
+from asimov_gym.robot.array_library import namespace
 
 
 @dataclass(frozen=True)
@@ -33,22 +33,22 @@ def progress(a: Advance) -> Any:
 
 def reached(a: Advance) -> Any:
     """One for a waypoint reached."""
-    return array_namespace(a.before).astype(a.reached, a.before.dtype)
+    return namespace(a.before).astype(a.reached, a.before.dtype)
 
 
 def fall(a: Advance) -> Any:
     """One for a fall, which ends the episode."""
-    return array_namespace(a.before).astype(a.fallen, a.before.dtype)
+    return namespace(a.before).astype(a.fallen, a.before.dtype)
 
 
 def time(a: Advance) -> Any:
     """One for every step."""
-    return array_namespace(a.before).ones_like(a.before)
+    return namespace(a.before).ones_like(a.before)
 
 
 def command_rate(a: Advance) -> Any:
     """Squared change of the command."""
-    xp = array_namespace(a.before)
+    xp = namespace(a.before)
     return xp.sum((a.command[:, 0] - a.command[:, 1]) ** 2, axis=-1)
 
 
@@ -61,4 +61,4 @@ TERMS: Mapping[str, Callable[[Advance], Any]] = MappingProxyType(
 def total(a: Advance, weights: Mapping[str, float]) -> tuple[Any, dict[str, Any]]:
     """Reward of a step, (N,), and each term's weighted share of it, (N,) each."""
     shares = {name: TERMS[name](a) * weight for name, weight in weights.items()}
-    return sum(shares.values(), array_namespace(a.before).zeros_like(a.before)), shares
+    return sum(shares.values(), namespace(a.before).zeros_like(a.before)), shares

@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, Reading
 from asimov_gym.robot import frames
-from asimov_gym.robot.array_library import integer
+from asimov_gym.robot.array_library import integer, namespace
 from asimov_gym.robot.joints import RANGE, STAND_POSITION, VELOCITY_LIMIT
 from asimov_gym.robot.safety_limits import has_fallen
 from asimov_gym.tasks.outcome import Outcome, settle
@@ -73,7 +72,7 @@ class VelocityTask:
 
     def initial_state(self, draws: Any) -> tuple[VelocityState, Any]:
         """State of fresh copies that stand at the origin, and their headings (N,), rad, from draws (N, start_draws)."""
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         n, c = draws.shape[0], self.config
         heading = math.pi * (2.0 * draws[:, 0] - 1.0)
         turns = c.turn * (2.0 * draws[:, 1 : 1 + c.waypoints] - 1.0)
@@ -90,14 +89,14 @@ class VelocityTask:
 
     def push_command(self, state: VelocityState, action: Any) -> VelocityState:
         """State with a new command (N, 3) in front, kept within the interface's limits."""
-        xp = array_namespace(action)
+        xp = namespace(action)
         limit = xp.asarray(COMMAND_LIMIT, dtype=action.dtype)
         command = xp.clip(action, -limit, limit)
         return replace(state, command=xp.stack([command, state.command[:, 0]], axis=1))
 
     def offset(self, state: VelocityState, reading: Reading) -> Any:
         """From the pelvis to the next waypoint, world frame, m, (N, 2); the last one's when all are reached."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         last = self.config.waypoints - 1
         aim = xp.clip(state.aim, 0, last)
         chosen = xp.arange(self.config.waypoints)[None, :] == aim[:, None]
@@ -106,7 +105,7 @@ class VelocityTask:
 
     def distance(self, state: VelocityState, reading: Reading) -> Any:
         """To the next waypoint, m, (N,)."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         offset = self.offset(state, reading)
         return xp.sqrt(xp.sum(offset * offset, axis=-1))
 
@@ -127,7 +126,7 @@ class VelocityTask:
             fallen=fallen,
             command=state.command,
         )
-        xp = array_namespace(distance)
+        xp = namespace(distance)
         return replace(state, step=state.step + 1, aim=state.aim + xp.astype(reached, state.aim.dtype)), advance
 
     def conclude(self, state: VelocityState, before: Reading, after: Reading, fallen: Any, diverged: Any) -> Outcome:
@@ -158,7 +157,7 @@ class VelocityTask:
 
     def observe(self, state: VelocityState, reading: Reading) -> Any:
         """The observation, (N, 61) float32, within `OBSERVATION_BOUND`."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         offset = self.offset(state, reading)
         flat = xp.concat([offset, xp.zeros_like(offset[:, 0:1])], axis=-1)
         ahead = frames.to_heading(frames.heading(reading.base_quat), flat)

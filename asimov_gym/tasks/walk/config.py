@@ -6,7 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from asimov_gym.presets import check_interval, check_range, check_weights
+from asimov_gym.robot.joints import BODY_NAMES
 from asimov_gym.robot.observation import LAYOUTS, STANDING_THRESHOLD
+from asimov_gym.robot.terrain import terrain_named
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,16 @@ class NoiseConfig:
     """rad/s."""
     joint_zero: float = 0.01
     """Encoder offset, rad."""
+    can_slot_delay: bool = False
+    """Joint readings are as old as their turn on the motor bus makes them: see `asimov_gym.tasks.walk.bus_age`."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            check_range(f"noise.{name}", value, 0.0, 10.0)
+            if name == "can_slot_delay":
+                if not isinstance(value, bool):
+                    raise ValueError(f"noise.can_slot_delay must be true or false, got {value!r}")
+            else:
+                check_range(f"noise.{name}", value, 0.0, 10.0)
 
 
 @dataclass(frozen=True)
@@ -104,8 +112,38 @@ class KickConfig:
 
 
 @dataclass(frozen=True)
+class ShoveConfig:
+    """Forces on single bodies for a short time; none by default. See `asimov_gym.tasks.walk.shove`."""
+
+    interval_s: tuple[float, float] = (3.0, 8.0)
+    """Time from the end of one to the start of the next."""
+    duration_s: tuple[float, float] = (0.1, 0.2)
+    horizontal: Mapping[str, float] = field(default_factory=dict)
+    """Largest force by body, in any horizontal direction, N: at the end of the curriculum."""
+    downward: Mapping[str, float] = field(default_factory=dict)
+    """Largest force by body, downwards, N."""
+    first: float = 0.4
+    """Share of these forces at the start of the curriculum; it grows with the level of the kicks."""
+
+    def __post_init__(self) -> None:
+        check_interval("shove.interval_s", self.interval_s, 0.02, 1e6)
+        check_interval("shove.duration_s", self.duration_s, 0.02, 5.0)
+        check_range("shove.first", self.first, 0.0, 1.0)
+        for name in ("horizontal", "downward"):
+            for body, force in getattr(self, name).items():
+                if body not in BODY_NAMES:
+                    raise ValueError(f"shove.{name} names the unknown body {body!r}; known: {', '.join(BODY_NAMES)}")
+                check_range(f"shove.{name}.{body}", force, 0.0, 5000.0)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Bodies that are shoved."""
+        return tuple(dict.fromkeys((*self.horizontal, *self.downward)))
+
+
+@dataclass(frozen=True)
 class CurriculumConfig:
-    """Penalties and kicks start small and grow while episodes last."""
+    """Penalties, kicks and shoves start small and grow while episodes last."""
 
     start: float = 0.1
     """First level of the penalties; the last is 1."""
@@ -114,7 +152,7 @@ class CurriculumConfig:
     penalty_growth: float = 0.002
     """Growth of the penalty level per call, relative."""
     kick_growth: float = 0.0005
-    """Growth of the kick level per call; it runs from 0 to 1."""
+    """Growth of the level of kicks and shoves per call; it runs from 0 to 1."""
 
     def __post_init__(self) -> None:
         check_range("curriculum.start", self.start, 0.0, 1.0)
@@ -153,6 +191,8 @@ class WalkConfig:
 
     layout: str = "asimov-80"
     """Observation layout of the actor."""
+    terrain: str = "flat"
+    """The ground: a name as `asimov_gym.robot.terrain.terrain_named` takes it, such as `rough:0.03` or `slope:6`."""
     episode_s: float = 20.0
     gait_frequency_hz: float = 1.5
     standing_threshold: float = STANDING_THRESHOLD
@@ -168,6 +208,7 @@ class WalkConfig:
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
     kick: KickConfig = field(default_factory=KickConfig)
+    shove: ShoveConfig = field(default_factory=ShoveConfig)
     curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
     rewards: Mapping[str, float] = field(default_factory=lambda: dict(DEFAULT_REWARDS))
     """Weight of each reward term; a term without a weight is not computed."""
@@ -175,6 +216,7 @@ class WalkConfig:
     def __post_init__(self) -> None:
         if self.layout not in LAYOUTS:
             raise ValueError(f"layout must be one of {', '.join(LAYOUTS)}, got {self.layout!r}")
+        terrain_named(self.terrain)
         check_range("episode_s", self.episode_s, 0.02, 1e6)
         check_range("gait_frequency_hz", self.gait_frequency_hz, 0.5, 4.0)
         check_range("standing_threshold", self.standing_threshold, 0.0, 0.5)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from array_api_compat import array_namespace
-
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.tasks.walk.config import CurriculumConfig
 
 
@@ -32,7 +31,7 @@ def after_episodes(levels: Levels, steps: Any, done: Any) -> Levels:
         steps: how long each copy's episode has lasted, policy steps, (N,).
         done: copies whose episode ended, (N,) bool.
     """
-    xp = array_namespace(done)
+    xp = namespace(done)
     real = levels.mean_length.dtype
     count = xp.sum(xp.astype(done, real))
     lengths = xp.sum(xp.where(done, xp.astype(steps, real), xp.zeros(done.shape, dtype=real)))
@@ -42,7 +41,7 @@ def after_episodes(levels: Levels, steps: Any, done: Any) -> Levels:
 
 def grown(levels: Levels, config: CurriculumConfig) -> Levels:
     """Levels one policy step later: penalties grow while episodes last, then kicks."""
-    xp = array_namespace(levels.penalty)
+    xp = namespace(levels.penalty)
     lasting = levels.mean_length >= config.long_episode_steps
     harder = xp.clip(levels.penalty * (1.0 + config.penalty_growth), None, 1.0)
     penalty = xp.where(lasting, harder, levels.penalty)

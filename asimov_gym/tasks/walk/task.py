@@ -8,77 +8,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from array_api_compat import array_namespace
 
 from asimov_gym.physics import DECIMATION, TIMESTEP, BodyParameters, Reading, delayed_position
 from asimov_gym.robot import frames, gait_clock, mirror
-from asimov_gym.robot.array_library import integer
+from asimov_gym.robot.array_library import integer, namespace, within
 from asimov_gym.robot.feet import SOLE_DEPTH
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
 from asimov_gym.robot.observation import ObservationLayout, observation_layout
 from asimov_gym.robot.safety_limits import has_fallen
-from asimov_gym.tasks.ground_truth import critic_view, ground_truth
+from asimov_gym.robot.terrain import terrain_named
+from asimov_gym.tasks.ground_truth import above_ground, critic_view, ground_truth
 from asimov_gym.tasks.outcome import Outcome, settle
-from asimov_gym.tasks.walk import rewards
+from asimov_gym.tasks.walk import bus_age, rewards
 from asimov_gym.tasks.walk.config import WalkConfig
+from asimov_gym.tasks.walk.shove import shoved
+from asimov_gym.tasks.walk.state import COMMAND_DRAWS, PLACE_DRAWS, START_DRAWS, STEP_DRAWS, WalkState
 
 DT = TIMESTEP * DECIMATION
 """Policy step, s."""
 _JOINTS, _ACTIONS = len(JOINT_NAMES), len(POLICY_JOINT_NAMES)
-_TO_POLICY = np.full(_JOINTS, -1)
-_TO_POLICY[POLICY_TO_JOINT] = np.arange(_ACTIONS)
-_HELD = _TO_POLICY < 0
-
-SENSOR_DRAWS = 3 + 3 + 2 * _JOINTS
-"""Uniform numbers per copy that `sense` needs."""
-COMMAND_DRAWS = 6
-"""Uniform numbers per copy that `draw_command` needs."""
-KICK_DRAWS = 7
-"""Uniform numbers per copy that `draw_kick` needs."""
-RESET_DRAWS = 2 + _JOINTS + COMMAND_DRAWS + 2
-"""Uniform numbers per copy that `initial_state` needs."""
-BODY_DRAWS = 4 + 2 * _JOINTS
-"""Uniform numbers per copy that `draw_body` needs."""
-POSE_DRAWS = 5 + _JOINTS + 6
-"""Uniform numbers per copy that `initial_pose` needs."""
-STEP_DRAWS: Mapping[str, int] = MappingProxyType(
-    {"kick": KICK_DRAWS, "command": COMMAND_DRAWS, "sensors": SENSOR_DRAWS}
-)
-"""Uniform numbers per copy that a step takes, by what they are for."""
-START_DRAWS: Mapping[str, int] = MappingProxyType(
-    {"pose": POSE_DRAWS, "state": RESET_DRAWS, "redraw": 1, "body": BODY_DRAWS}
-)
-"""Uniform numbers per copy that the start of an episode takes besides; `redraw` decides on a new body."""
-
-
-@dataclass(frozen=True)
-class WalkState:
-    """What the task remembers of each copy."""
-
-    step: Any
-    """Policy steps since reset, (N,)."""
-    command: Any
-    """(N, 3)."""
-    command_left: Any
-    """Policy steps until the next command, (N,)."""
-    kick_left: Any
-    """Policy steps until the next kick, (N,)."""
-    phase: Any
-    """Gait clock of the left foot, rad, (N,)."""
-    action: Any
-    """Clipped actions, newest first, (N, 3, 23)."""
-    delay: Any
-    """Action delay in physics steps, (N,) int."""
-    joint_zero: Any
-    """Encoder offsets, (N, 25)."""
-    mean_velocity: Any
-    """Running mean of vx, vy, yaw rate in the heading frame, (N, 3)."""
+_TO_POLICY, _DRIVEN = np.zeros(_JOINTS, dtype=int), np.zeros(_JOINTS)
+_TO_POLICY[POLICY_TO_JOINT], _DRIVEN[POLICY_TO_JOINT] = np.arange(_ACTIONS), 1.0
+"""Each joint's place among the actions, and 1 where it has one: the others are held."""
 
 
 def _between(draw: Any, interval: tuple[float, float]) -> Any:
@@ -90,6 +46,7 @@ class WalkTask:
 
     def __init__(self, config: WalkConfig | None = None) -> None:
         self.config = WalkConfig() if config is None else config
+        self.terrain = terrain_named(self.config.terrain)
         self.episode_steps = max(1, round(self.config.episode_s / DT))
 
     @cached_property
@@ -97,7 +54,27 @@ class WalkTask:
         """Layout of the actor's observation."""
         return observation_layout(self.config.layout)
 
+    @cached_property
+    def step_draws(self) -> Mapping[str, int]:
+        """Uniform numbers per copy that a step takes under this configuration, by what they are for."""
+        return {**STEP_DRAWS, "bus": bus_age.BUS_DRAWS} if self.config.noise.can_slot_delay else STEP_DRAWS
+
+    @cached_property
+    def start_draws(self) -> Mapping[str, int]:
+        """Uniform numbers per copy that the start of an episode takes besides."""
+        return START_DRAWS if self.terrain.is_flat else {**START_DRAWS, "place": PLACE_DRAWS}
+
+    @property
+    def trail(self) -> int:
+        """How many earlier moments of the joints the physics has to remember for `sensed`."""
+        return bus_age.OLDEST if self.config.noise.can_slot_delay else 0
+
     # -- start ---------------------------------------------------------------------------------------------------------
+
+    def place(self, draws: Any) -> Any:
+        """Where episodes start on a terrain that is not flat: x, y and the height to add to the pose's, m, (N, 3), from
+        draws (N, PLACE_DRAWS)."""
+        return self.terrain.start(draws)
 
     def initial_pose(self, draws: Any) -> tuple[Any, Any, Any, Any]:
         """A disturbed standing pose from draws (N, POSE_DRAWS).
@@ -105,7 +82,7 @@ class WalkTask:
         Returns:
             Joint positions (N, 25), pelvis height (N,), pelvis orientation (N, 4), pelvis velocity and rates (N, 6).
         """
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         centred = 2.0 * draws - 1.0
         yaw = math.pi * centred[:, 0]
         roll, pitch = 0.05 * centred[:, 1], 0.08 * centred[:, 2]
@@ -124,7 +101,7 @@ class WalkTask:
             randomise: whether copies get an action delay; none otherwise.
             noise: whether their encoders have an offset; none otherwise.
         """
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         n, dtype, c = draws.shape[0], draws.dtype, self.config
         zeros = xp.zeros(n, dtype=dtype)
         steps = xp.asarray([c.randomisation.action_delay_ms[i] / (1000.0 * TIMESTEP) for i in (0, 1)], dtype=dtype)
@@ -142,11 +119,14 @@ class WalkTask:
             delay=delay if randomise else xp.zeros_like(delay),
             joint_zero=zero if noise else xp.zeros_like(zero),
             mean_velocity=xp.zeros((n, 3), dtype=dtype),
+            shove=xp.zeros((n, len(c.shove.bodies), 3), dtype=dtype),
+            shove_left=xp.zeros(n, dtype=integer(xp)),
+            shove_wait=self._steps(_between(draws[:, -1], c.shove.interval_s)),
         )
 
     def draw_command(self, draws: Any) -> tuple[Any, Any]:
         """Velocity commands (N, 3) and their lifetimes in policy steps (N,), from draws (N, COMMAND_DRAWS)."""
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         c = self.config.command
         axes = (c.vx, c.vy, c.wz)
         command = xp.stack([_between(draws[:, i], axis) for i, axis in enumerate(axes)], axis=-1)
@@ -160,7 +140,7 @@ class WalkTask:
 
     def draw_body(self, draws: Any) -> BodyParameters:
         """Body figures (N rows) from draws (N, BODY_DRAWS)."""
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         r = self.config.randomisation
         com = xp.stack(
             [_between(draws[:, 2], r.torso_com_x), 0.0 * draws[:, 2], _between(draws[:, 3], r.torso_com_z)], axis=-1
@@ -179,7 +159,7 @@ class WalkTask:
         Args:
             level: place in the curriculum, 0 to 1.
         """
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         k = self.config.kick
         largest = k.speed[0] + (k.speed[1] - k.speed[0]) * level
         angle = 2.0 * math.pi * draws[:, 0]
@@ -199,27 +179,27 @@ class WalkTask:
         return kick, self._steps(_between(draws[:, 6], k.interval_s))
 
     def _steps(self, seconds: Any) -> Any:
-        xp = array_namespace(seconds)
+        xp = namespace(seconds)
         return xp.astype(xp.round(seconds / DT), integer(xp))
 
     # -- a step --------------------------------------------------------------------------------------------------------
 
     def clip_action(self, action: Any) -> Any:
         """Action within its bounds, (N, 23)."""
-        return array_namespace(action).clip(action, -self.config.action_clip, self.config.action_clip)
+        return namespace(action).clip(action, -self.config.action_clip, self.config.action_clip)
 
     def targets(self, state: WalkState) -> Any:
         """Joint targets for each physics step, (N, DECIMATION, 25): the state's actions, late by its delay.
 
         The neck is held at its standing pose; targets stay within the joints' ranges.
         """
-        xp = array_namespace(state.action)
+        xp = namespace(state.action)
         dtype = state.action.dtype
-        offset = self.config.action_scale * xp.take(state.action, xp.asarray(np.maximum(_TO_POLICY, 0)), axis=-1)
-        offset = xp.where(xp.asarray(_HELD), xp.zeros_like(offset), offset)
+        scale = xp.asarray(self.config.action_scale * _DRIVEN, dtype=dtype)
+        offset = scale * xp.take(state.action, xp.asarray(_TO_POLICY), axis=-1)
         target = xp.asarray(STAND_POSITION, dtype=dtype) + offset
-        target = xp.clip(target, xp.asarray(RANGE[:, 0], dtype=dtype), xp.asarray(RANGE[:, 1], dtype=dtype))
-        return delayed_position(target, state.delay, DECIMATION)
+        low, high = xp.asarray(RANGE[:, 0], dtype=dtype), xp.asarray(RANGE[:, 1], dtype=dtype)
+        return delayed_position(within(xp, target, low, high), state.delay, DECIMATION)
 
     def kick(self, state: WalkState, draws: Any, level: Any) -> tuple[WalkState, Any]:
         """State with the time to the next kick renewed where it is up, and what to add to the pelvis' velocity, (N, 6).
@@ -229,20 +209,30 @@ class WalkTask:
             draws: (N, KICK_DRAWS); they matter where a kick is due.
             level: place in the curriculum, 0 to 1.
         """
-        xp = array_namespace(draws)
+        xp = namespace(draws)
         due = state.kick_left <= 0
         kick, wait = self.draw_kick(draws, level)
         left = xp.where(due, wait, state.kick_left)
         return replace(state, kick_left=left), xp.where(due[:, None], kick, xp.zeros_like(kick))
 
+    def shove(self, state: WalkState, draws: Any, level: Any) -> WalkState:
+        """State with the shoves of this step, (N, SHOVE_DRAWS) draws; see `asimov_gym.tasks.walk.shove`."""
+        return shoved(self.config.shove, state, draws, level) if self.config.shove.bodies else state
+
+    def wrench(self, state: WalkState) -> dict[str, Any]:
+        """Force and torque of the state's shoves by body, (N, 6), world frame."""
+        xp = namespace(state.shove)
+        bodies = enumerate(self.config.shove.bodies)
+        return {name: xp.concat([state.shove[:, i], xp.zeros_like(state.shove[:, i])], axis=-1) for i, name in bodies}
+
     def push_action(self, state: WalkState, action: Any) -> WalkState:
         """State with a new clipped action (N, 23) in front."""
-        xp = array_namespace(action)
+        xp = namespace(action)
         return replace(state, action=xp.concat([action[:, None, :], state.action[:, :2]], axis=1))
 
     def motion(self, state: WalkState, reading: Reading) -> tuple[WalkState, rewards.Motion]:
         """What the step did; the state with its running means updated. The clock is still this step's."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         angle = frames.heading(reading.base_quat)
         velocity = frames.to_heading(angle, reading.base_velocity)
         turning = frames.yaw_rate(reading.gravity, reading.gyro)
@@ -258,7 +248,7 @@ class WalkTask:
             yaw_rate=turning,
             mean_velocity=mean,
             foot_offset=frames.to_heading(angle[:, None], offset),
-            foot_height=reading.foot_position[:, :, 2] - SOLE_DEPTH,
+            foot_height=above_ground(reading.foot_position, self.terrain) - SOLE_DEPTH,
             contact=xp.astype(reading.foot_force[:, :, 2] > rewards.CONTACT_FORCE, velocity.dtype),
             command=state.command,
             moving=walking,
@@ -273,8 +263,8 @@ class WalkTask:
         return rewards.total(motion, self.config.rewards, penalty_level, DT)
 
     def fallen(self, reading: Reading) -> Any:
-        """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m."""
-        return has_fallen(reading.gravity, reading.base_position[:, 2])
+        """Copies on the ground, (N,) bool: tilted beyond 60 degrees or the pelvis below 0.35 m over the ground."""
+        return has_fallen(reading.gravity, above_ground(reading.base_position[:, None], self.terrain)[:, 0])
 
     def conclude(
         self, state: WalkState, reading: Reading, diverged: Any, command_draws: Any, penalty_level: Any = 1.0
@@ -295,7 +285,7 @@ class WalkTask:
 
     def advance(self, state: WalkState, command_draws: Any) -> WalkState:
         """State for the next step: clocks run, commands whose time is up are drawn anew."""
-        xp = array_namespace(state.phase)
+        xp = namespace(state.phase)
         moving = gait_clock.is_moving(state.command, self.config.standing_threshold)
         phase = gait_clock.advance(state.phase, moving, self.config.gait_frequency_hz, DT)
         fresh, lifetime = self.draw_command(command_draws)
@@ -307,6 +297,7 @@ class WalkTask:
             command=xp.where(due[:, None], fresh, state.command),
             command_left=xp.where(due, lifetime, state.command_left - 1),
             kick_left=state.kick_left - 1,
+            shove_wait=state.shove_wait - 1,
         )
 
     # -- what learners see ---------------------------------------------------------------------------------------------
@@ -314,6 +305,16 @@ class WalkTask:
     def clock(self, state: WalkState) -> Any:
         """The clock's signal, (N, 2)."""
         return gait_clock.signal(state.phase, gait_clock.is_moving(state.command, self.config.standing_threshold))
+
+    def sensed(self, reading: Reading, trail: Any, draws: Any) -> Reading:
+        """The reading as the motor bus delivers it to the actor: joints aged by their slots.
+
+        Args:
+            reading: of now.
+            trail: the joints at the `trail` physics steps before, (N, K, 2, 25).
+            draws: (N, BUS_DRAWS).
+        """
+        return bus_age.aged(reading, trail, bus_age.slot_ages(draws))
 
     def observe(self, state: WalkState, reading: Reading, draws: Any | None = None) -> Any:
         """The actor's observation, (N, width); noisy with draws (N, SENSOR_DRAWS), clean without."""
@@ -337,10 +338,10 @@ class WalkTask:
 
     def privilege(self, state: WalkState, reading: Reading, body: BodyParameters) -> Any:
         """The critic's observation, (N, privileged_width): the clean actor view and what only a simulator knows."""
-        xp = array_namespace(reading.gyro)
+        xp = namespace(reading.gyro)
         clean = self.observe(replace(state, joint_zero=xp.zeros_like(state.joint_zero)), reading)
         clean = clean if self.layout.has_clock else xp.concat([clean, self.clock(state)], axis=-1)
-        truth = ground_truth(reading)
+        truth = ground_truth(reading, self.terrain)
         assert body.foot_friction is not None and body.torso_mass is not None
         known = [
             truth["velocity"],
@@ -380,7 +381,7 @@ class WalkTask:
 
 def _from_euler(roll: Any, pitch: Any, yaw: Any) -> Any:
     """Quaternions (N, 4) of a turn by yaw, then pitch, then roll."""
-    xp = array_namespace(roll)
+    xp = namespace(roll)
     cr, sr = xp.cos(0.5 * roll), xp.sin(0.5 * roll)
     cp, sp = xp.cos(0.5 * pitch), xp.sin(0.5 * pitch)
     cy, sy = xp.cos(0.5 * yaw), xp.sin(0.5 * yaw)
