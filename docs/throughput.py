@@ -29,6 +29,8 @@ def _machine(result: dict[str, Any]) -> str:
 
 def _rows(result: dict[str, Any]) -> list[tuple[str, float, float, float]]:
     """What was measured, its steps per second, those of the bare physics, and the share."""
+    if result["subject"] == "profiles":
+        return []
     if result["subject"] == "train":
         t = result["training"]
         label = f"training, preset {result['settings']['preset']}, {t['copies']} copies"
@@ -118,6 +120,18 @@ def _train_part(result: dict[str, Any]) -> str:
     return _table([f"training, preset `{result['settings']['preset']}`, {t['copies']} copies", ""], rows)
 
 
+def _profiles_part(result: dict[str, Any]) -> str:
+    rows = [
+        [p["profile"], f"{p['steps_per_s']:,.0f}", f"{p['slower']:.2f} ± {p['spread'] / 2:.2f}"]
+        for p in result["profiles"]
+    ]
+    return _table([f"bare physics, {result['settings']['copies']} copies walking", "steps/s", "cost"], rows)
+
+
+_PARTS = {"train": _train_part, "profiles": _profiles_part}
+"""How a subject is shown; any other is an environment."""
+
+
 def page(header: str) -> str:
     """The page `benchmarks.md`."""
     parts, before = [], None
@@ -127,7 +141,7 @@ def page(header: str) -> str:
             parts.append(f"## {before}\n")
         m, load = result["machine"], result["load_before"]
         versions = ", ".join(f"{name} {number}" for name, number in m["packages"].items())
-        parts.append(_train_part(result) if result["subject"] == "train" else _env_part(result))
+        parts.append(_PARTS.get(result["subject"], _env_part)(result))
         busy = "" if load is None else f" Load average before: {load:g}."
         threads = result["settings"]["threads"]
         parts.append(f"{threads} threads. {m['system']}, Python {m['python']}, {versions}.{busy}\n")
@@ -143,6 +157,7 @@ the shipped policy. A step is 20 ms of one robot.
 ```sh
 asimov bench env --json benchmarks                 # environments, each number of copies
 asimov bench train --json benchmarks               # training, learning included
+asimov bench profiles --json benchmarks            # what each part of the evaluation physics costs
 asimov bench env --environments batch jax-mjx jax-warp --copies 4096 8192 16384 --json benchmarks    # on a GPU
 asimov bench robot                                 # the simulated robot: punctuality, speed in lockstep
 ```

@@ -60,7 +60,7 @@ class BraxTrainer(TrainingLoop):
 
     def warm_start(self, other: RunFolder) -> None:
         """Begin with the networks of another run; of the same learner with its optimiser too."""
-        library, learned = checkpoint_of(other, self.ranks)
+        library, learned = checkpoint_of(other, self.ranks, self.config.learner.warm_std)
         if library == "brax":
             self.learned_now = self._learned(learned)
             return

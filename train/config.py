@@ -25,6 +25,9 @@ class LearnerConfig:
     """Widths of the hidden layers of actor and critic."""
     initial_std: float = 1.0
     """Standard deviation of exploration at the start, in action units. Half of it learns to stand and never to step."""
+    warm_std: float | None = None
+    """Least standard deviation of exploration after a warm start; what the other run ended with when omitted. A policy
+    that has settled tries too little to find an answer to something new, as a harder push."""
     steps: int = 24
     """Policy steps of each copy per update."""
     epochs: int = 4
@@ -49,9 +52,10 @@ class LearnerConfig:
         for name in ("gamma", "lam"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"learner.{name} must lie in (0, 1], got {getattr(self, name)}")
-        for name in ("initial_std", "learning_rate", "desired_kl", "clip"):
-            if not 0.0 < getattr(self, name) < 100.0:
-                raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
+        for name in ("initial_std", "warm_std", "learning_rate", "desired_kl", "clip"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < 100.0:
+                raise ValueError(f"learner.{name} must lie in (0, 100), got {value}")
         if self.symmetry not in ("network", "samples", "none"):
             raise ValueError(f"learner.symmetry must be network, samples or none, got {self.symmetry!r}")
         if not self.hidden or min(self.hidden) < 1:

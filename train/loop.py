@@ -21,6 +21,7 @@ from torch.utils.tensorboard import SummaryWriter
 from train.config import PpoConfig
 from train.ranks import Ranks
 from train.run_folder import RunFolder
+from train.weights import with_exploration
 
 
 @dataclass
@@ -190,15 +191,20 @@ class TrainingLoop(abc.ABC):
         return folder if self.ranks.first else folder / f"rank_{self.ranks.rank}"
 
 
-def checkpoint_of(other: RunFolder, ranks: Ranks) -> tuple[str, dict[str, Any]]:
+def checkpoint_of(other: RunFolder, ranks: Ranks, warm_std: float | None = None) -> tuple[str, dict[str, Any]]:
     """The learner of a run, and what it had learned at its newest checkpoint; for all ranks.
+
+    Args:
+        other: the run.
+        ranks: that all get it.
+        warm_std: see `train.config.LearnerConfig`.
 
     Raises:
         FileNotFoundError: it is not a run, or has no checkpoint.
     """
 
     def read() -> tuple[str, dict[str, Any]]:
-        return other.config().library or "rsl_rl", other.load_checkpoint()["learner"]
+        return other.config().library or "rsl_rl", with_exploration(other.load_checkpoint()["learner"], warm_std)
 
     return ranks.from_first(read)
 

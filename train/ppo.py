@@ -72,7 +72,7 @@ class Trainer(TrainingLoop):
 
     def warm_start(self, other: RunFolder) -> None:
         """Begin with the networks of another run; of the same learner with its optimiser too."""
-        library, learned = checkpoint_of(other, self.ranks)
+        library, learned = checkpoint_of(other, self.ranks, self.config.learner.warm_std)
         if library == "rsl_rl":
             wanted = {"actor": True, "critic": True, "optimizer": True, "iteration": False, "rnd": False}
             self.ppo.load(learned, wanted, True)

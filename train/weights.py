@@ -100,6 +100,20 @@ class NetworkWeights:
         return arrays
 
 
+def with_exploration(learned: Mapping[str, Any], least: float | None) -> dict[str, Any]:
+    """The learner's part of a checkpoint of either library, no deviation of its actions below `least`."""
+    if least is None:
+        return dict(learned)
+    low = float(np.log(least))
+    if "actor_state_dict" in learned:
+        name = "distribution.log_std_param"
+        actor = {**learned["actor_state_dict"], name: learned["actor_state_dict"][name].clamp(min=low)}
+        return {**learned, "actor_state_dict": actor}
+    networks = learned["networks"]
+    raised = np.maximum(networks["actor.log_std"], np.float32(low))
+    return {**learned, "networks": {**networks, "actor.log_std": raised}}
+
+
 def _array(tensor: torch.Tensor) -> np.ndarray:
     return tensor.detach().cpu().numpy().copy()
 

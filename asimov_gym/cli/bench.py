@@ -8,11 +8,13 @@ from typing import Annotated
 import tyro
 
 from asimov_gym.cli.bench_env import BenchEnv
+from asimov_gym.cli.bench_profiles import BenchProfiles
 from asimov_gym.cli.bench_robot import BenchRobot
 from asimov_gym.cli.bench_train import BenchTrain
 
 Subject = (
     Annotated[BenchEnv, tyro.conf.subcommand("env")]
+    | Annotated[BenchProfiles, tyro.conf.subcommand("profiles")]
     | Annotated[BenchRobot, tyro.conf.subcommand("robot")]
     | Annotated[BenchTrain, tyro.conf.subcommand("train")]
 )

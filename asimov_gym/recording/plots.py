@@ -17,6 +17,7 @@ from asimov_gym.recording.schemas import COMMANDS
 from asimov_gym.recording.series import TelemetrySeries, VelocityCommands, read_telemetry, read_velocity_commands
 from asimov_gym.recording.summary import ModeSpan, Summary, summarize
 from asimov_gym.robot.joints import MOTOR_NAMES
+from asimov_gym.robot.motor import PEAK_TORQUE, RATED_TORQUE
 from asimov_gym.robot.safety_limits import TRIP_C, WARNING_C
 
 VELOCITY_LABELS = ("forward, m/s", "left, m/s", "turn, rad/s")
@@ -30,7 +31,7 @@ _POINTS = 4000
 
 
 def save_plots(path: str | Path, folder: Path) -> list[Path]:
-    """Draw a recording: `timeline`, `velocity`, `positions`, `currents` and `temperatures`, as PNG files.
+    """Draw a recording: `timeline`, `velocity`, `positions`, `currents`, `temperatures` and `torques`, as PNG files.
 
     Args:
         path: of the recording.
@@ -58,6 +59,7 @@ def save_plots(path: str | Path, folder: Path) -> list[Path]:
         ("temperatures", series.motor_temperature, "°C"),
     ):
         written.append(_save(_motors(summary, series, values, unit, name), folder / f"{name}.png"))
+    written.append(_save(_torques(series), folder / "torques.png"))
     return written
 
 
@@ -177,9 +179,7 @@ def _moving_mean(values: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 def _motors(summary: Summary, series: TelemetrySeries, values: np.ndarray, unit: str, title: str) -> Figure:
     """One small plot for each kind of motor, left and right together."""
-    kinds: dict[str, list[int]] = {}
-    for place, name in enumerate(MOTOR_NAMES):
-        kinds.setdefault(name.removeprefix("L_").removeprefix("R_"), []).append(place)
+    kinds = _kinds()
     columns = 4
     rows = -(-len(kinds) // columns)
     # A fixed layout: finding one for so many plots takes longer than drawing them.
@@ -189,9 +189,7 @@ def _motors(summary: Summary, series: TelemetrySeries, values: np.ndarray, unit:
     for axis, (kind, places) in zip(axes, kinds.items(), strict=False):
         _shade(axis, summary.modes)
         for place in places:
-            side = MOTOR_NAMES[place][:2]
-            colour = {"L_": _LEFT, "R_": _RIGHT}.get(side, _SINGLE)
-            label = {"L_": "left", "R_": "right"}.get(side)
+            colour, _, label = _side(place)
             axis.plot(*_thin(series.time, values[:, place]), color=colour, lw=0.9, label=label)
         if unit == "°C":
             for limit, colour in ((WARNING_C, "#e0a100"), (TRIP_C, "#b3261e")):
@@ -213,6 +211,48 @@ def _motors(summary: Summary, series: TelemetrySeries, values: np.ndarray, unit:
     figure.supxlabel("time, s", fontsize=9)
     figure.suptitle(f"Motor {title}, {unit}", fontsize=11)
     return figure
+
+
+def _torques(series: TelemetrySeries) -> Figure:
+    """RMS torque of each motor against its continuous rating, and its largest torque against the peak rating."""
+    torque = series.motor_torque()
+    rms = 100.0 * np.sqrt(np.mean(torque**2, axis=0)) / RATED_TORQUE
+    peak = 100.0 * np.max(np.abs(torque), axis=0) / PEAK_TORQUE
+    kinds = _kinds()
+    figure = Figure(figsize=(8.2, 1.0 + 0.36 * len(kinds)), layout="constrained")
+    axis = figure.subplots()
+    for row, places in enumerate(kinds.values()):
+        for place in places:
+            colour, offset, _ = _side(place)
+            axis.barh(row + offset, rms[place], height=0.34, color=colour, lw=0)
+            axis.plot(peak[place], row + offset, "d", color="black", ms=4)
+    for name, colour in (("left", _LEFT), ("right", _RIGHT), ("middle", _SINGLE)):
+        axis.barh(0, 0.0, color=colour, label=f"RMS, {name}")
+    axis.plot([], [], "d", color="black", ms=4, label="largest, of the peak torque")
+    axis.axvline(100.0, color="#b3261e", lw=1.2, ls="--")
+    axis.set_yticks(range(len(kinds)), [kind.replace("_", " ") for kind in kinds], fontsize=8)
+    axis.set_ylim(len(kinds) - 0.4, -0.6)
+    axis.set_xlim(0.0, max(105.0, 1.05 * float(max(rms.max(), peak.max()))))
+    axis.set_xlabel("% of the motor's rating: bars of the continuous torque, diamonds of the peak torque", fontsize=9)
+    axis.grid(axis="x", color="0.9")
+    axis.set_axisbelow(True)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle("Motor torques, from the currents", fontsize=11)
+    return figure
+
+
+def _kinds() -> dict[str, list[int]]:
+    """Places of the motors in firmware order by kind, left before right."""
+    kinds: dict[str, list[int]] = {}
+    for place, name in enumerate(MOTOR_NAMES):
+        kinds.setdefault(name.removeprefix("L_").removeprefix("R_"), []).append(place)
+    return kinds
+
+
+def _side(place: int) -> tuple[str, float, str | None]:
+    """Colour, offset from the middle of its row, and label of a motor's side."""
+    sides = {"L_": (_LEFT, -0.19, "left"), "R_": (_RIGHT, 0.19, "right")}
+    return sides.get(MOTOR_NAMES[place][:2], (_SINGLE, 0.0, None))
 
 
 def _shade(axis: Axes, modes: Iterable[ModeSpan], names: bool = False) -> None:

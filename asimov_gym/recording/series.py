@@ -16,6 +16,7 @@ from asimov_gym.recording.reader import read_notes, read_recording
 from asimov_gym.recording.schemas import COMMANDS, ROBOT_STATE, STATE
 from asimov_gym.robot import ankle
 from asimov_gym.robot.joints import MOTOR_NAMES
+from asimov_gym.robot.motor import KT
 
 _MICROSECONDS = 1_000_000
 _MOTORS = len(MOTOR_NAMES)
@@ -46,6 +47,10 @@ class TelemetrySeries:
     """(n,)."""
     ankle: ankle.Form
     """Mechanics of the ankle linkage that the robot had."""
+
+    def motor_torque(self) -> np.ndarray:
+        """Torques at the output shafts that the currents stand for, N·m, (n, 25), firmware order."""
+        return self.motor_current * KT
 
     def joint_position(self) -> np.ndarray:
         """Joint angles in joint order, rad, (n, 25)."""

@@ -6,6 +6,8 @@ import importlib.util
 import json
 import platform
 import re
+from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +15,11 @@ import pytest
 
 from asimov_gym.cli import main
 from asimov_gym.cli.bench_env import NAMES, BenchEnv, FirstStep
+from asimov_gym.cli.bench_profiles import ladder
 from asimov_gym.cli.bench_subjects import SUBJECTS, RawPhysics
 from asimov_gym.cli.machine import Machine
 from asimov_gym.envs.walk_batch import WalkBatch
+from asimov_gym.physics import PROFILES
 from asimov_gym.tasks.walk import WalkConfig
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -141,3 +145,24 @@ def test_committed_results_name_their_machine(file: Path) -> None:
     result = json.loads(file.read_text(encoding="utf-8"))
     m = result["machine"] | {"gpus": tuple(result["machine"]["gpus"])}
     assert file.name == f"{Machine(**m).name}_{result['subject']}.json"
+
+
+def test_profiles_lead_from_training_to_evaluation() -> None:
+    profiles = list(ladder().values())
+    same = {"name": "", "profile": ""}
+    assert profiles[0] is PROFILES["training"]
+    assert asdict(profiles[-1]) | same == asdict(PROFILES["evaluation"]) | same
+    for before, after in pairwise(profiles):
+        assert asdict(before) != asdict(after)
+
+
+def test_the_cost_of_profiles_is_measured_in_turn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flags = ["--copies", "2", "--steps", "2", "--rounds", "2", "--threads", "1", "--json", str(tmp_path)]
+    assert main(["bench", "profiles", *flags]) == 0
+    assert "all bodies collide: evaluation" in capsys.readouterr().out
+    (file,) = tmp_path.iterdir()
+    rows = json.loads(file.read_text())["profiles"]
+    assert len(rows) == len(ladder()) and rows[0]["slower"] == 1.0 and rows[0]["spread"] == 0.0
+    assert rows[-1]["slower"] > 1.0 and all(row["steps_per_s"] > 10 for row in rows)
+    assert main(["bench", "profiles", "--rounds", "0"]) == 2
+    assert "--rounds must be at least 1, got 0" in capsys.readouterr().err

@@ -64,7 +64,7 @@ def test_a_run_that_must_repeat_and_does_not_is_exit_code_1(
 def test_it_draws_and_writes_a_motion(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     replay = Replay(recording, plots=tmp_path / "plots", motion=tmp_path / "motion.npz", start=0.2, stop=1.0)
     assert replay.run() == 0
-    assert len(list((tmp_path / "plots").glob("*.png"))) == 5
+    assert len(list((tmp_path / "plots").glob("*.png"))) == 6
     assert f'motion="{tmp_path}/motion.npz"' in capsys.readouterr().out.replace("\n", "")
     assert (tmp_path / "motion.npz").is_file()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from asimov_gym.evaluation.suite import parse_suite
 from asimov_gym.policy import load_policy
 from train.__main__ import main
 from train.card import joined_curves, write_card
+from train.ppo import Trainer
 from train.run_folder import RunFolder
+from train.weights import with_exploration
 
 FLAGS = ["--samples", "256", "--copies", "16", "--threads", "1", "--learner.steps", "8"]
 
@@ -39,6 +42,24 @@ def test_a_warm_start_begins_with_the_networks_of_the_other_run(stages: list[Run
     assert load_policy(second.path / "policy.onnx").contract.training["after"] == first.history()
     with pytest.raises(FileNotFoundError, match="is not a training run"):
         RunFolder.open(first.path / "nowhere")
+
+
+def test_a_warm_start_can_explore_more_than_the_other_run_did(stages: list[RunFolder], tmp_path: Path) -> None:
+    first = stages[0]
+    config = first.config()
+    explored = Trainer(config, first).learned()["actor_state_dict"]["distribution.log_std_param"]
+    wide = replace(config, learner=replace(config.learner, warm_std=1.7))
+    trainer = Trainer(wide, RunFolder.create(tmp_path, "smoke", wide))
+    trainer.warm_start(first)
+    assert float(explored.exp().max()) < 1.6
+    assert np.allclose(
+        trainer.learned()["actor_state_dict"]["distribution.log_std_param"].exp().numpy(), 1.7, atol=1e-6
+    )
+    as_brax = {"networks": {"actor.log_std": np.log(np.array([0.2, 2.0], np.float32)), "critic": 1}, "optimiser": 2}
+    raised = with_exploration(as_brax, 1.7)
+    np.testing.assert_allclose(np.exp(raised["networks"]["actor.log_std"]), [1.7, 2.0], rtol=1e-6)
+    assert raised["networks"]["critic"] == 1 and raised["optimiser"] == 2
+    assert with_exploration(as_brax, None) == as_brax
 
 
 def test_curves_of_stages_follow_each_other(stages: list[RunFolder]) -> None:

@@ -206,7 +206,7 @@ def test_presets_are_complete_and_valid() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["ppo", "--preset", "huge"], "preset 'huge' is unknown; known presets: laptop, polish, smoke"),
+        (["ppo", "--preset", "huge"], "preset 'huge' is unknown; known presets: laptop, polish, push, smoke"),
         (["resume", "nowhere"], "nowhere is not a training run"),
         (["fly"], "unknown command 'fly'; known commands: ppo, resume, export, card"),
         (["ppo", "--preset", "smoke", "--copies", "2"], "copies must be at least"),
