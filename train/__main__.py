@@ -9,6 +9,8 @@ from typing import Annotated
 
 import tyro
 
+from asimov_gym.physics.memory import is_out_of_memory
+
 _EXTRAS = {
     "train": ("torch", "rsl_rl", "tensordict", "tensorboard", "onnx", "onnxscript"),
     "brax": ("brax", "flax", "optax", "jax"),
@@ -138,6 +140,12 @@ def main(arguments: list[str] | None = None) -> int:
     except (ValueError, FileNotFoundError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        first = (str(error).splitlines() or [""])[0]
+        print(f"error: the run does not fit into memory, use fewer --copies ({first})", file=sys.stderr)
+        return 1
     except ConnectionError as error:  # `train.ranks.RankLost`, whose module brings torch
         print(f"error: {error}", file=sys.stderr)
         return 1

@@ -140,3 +140,17 @@ def test_every_task_runs_on_mjx(env_id: str) -> None:
         assert envs.observation_space.contains(observation) and np.isfinite(reward).all()
     assert not info["diverged"].any()
     envs.close()
+
+
+@needs_jax
+@pytest.mark.parametrize("function", ["compiled_reset", "compiled_step"])
+def test_a_batch_that_does_not_fit_says_so(function: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*arguments: Any) -> Any:
+        raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 68719476736 bytes.")
+
+    envs = on_c()
+    if function == "compiled_step":
+        envs.reset(seed=0)
+    monkeypatch.setattr(functions(), function, full)
+    with pytest.raises(MemoryError, match="4 robots do not fit into memory, use fewer"):
+        envs.reset(seed=0) if function == "compiled_reset" else envs.step(np.zeros((N, 23), np.float32))

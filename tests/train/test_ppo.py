@@ -257,3 +257,17 @@ def test_smoke_preset_learns_in_two_minutes(tmp_path: Path) -> None:
     assert time.monotonic() - began < 120
     (path,) = tmp_path.iterdir()
     assert (path / "policy.onnx").is_file()
+
+
+def test_a_run_that_does_not_fit_into_memory_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*arguments: Any, **more: Any) -> int:
+        raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 68719476736 bytes.\nlong story")
+
+    monkeypatch.setattr("train.session.start_run", full)
+    assert main(["ppo", "--preset", "smoke"]) == 1
+    assert capsys.readouterr().err == (
+        "error: the run does not fit into memory, use fewer --copies "
+        "(RESOURCE_EXHAUSTED: Out of memory allocating 68719476736 bytes.)\n"
+    )

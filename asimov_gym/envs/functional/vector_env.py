@@ -15,6 +15,7 @@ from asimov_gym.envs.batch import check_action, check_options, masked_info, row
 from asimov_gym.envs.functional.env import FunctionalEnv
 from asimov_gym.envs.functional.state import EnvState
 from asimov_gym.envs.vector_env import seeds_of_copies
+from asimov_gym.physics.memory import batch_of
 
 ARRAYS = ("numpy", "device")
 
@@ -89,6 +90,7 @@ class FunctionalVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
 
         Raises:
             ValueError: the number of seeds is not that of the copies; an unknown option or one with a wrong value.
+            MemoryError: so many copies do not fit into the memory of JAX's device.
         """
         given = check_options(options, tuple(self._options))
         start = {name: self._options[name](value) for name, value in given.items() if value is not None}
@@ -98,7 +100,8 @@ class FunctionalVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         else:
             seeds = seeds_of_copies(seed, self.num_envs, self.np_random)
             keys = jnp.asarray(np.stack([_key(s) for s in seeds]))
-        state = self._state = self.functional.compiled_reset(keys, start)
+        with batch_of(self.num_envs):
+            state = self._state = self.functional.compiled_reset(keys, start)
         everyone = np.ones(self.num_envs, dtype=bool)
         if self._on_device:
             return self._observation(state.obs["state"]), dict(state.info["now"]) | _privileged(state.obs)
@@ -120,7 +123,8 @@ class FunctionalVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
                 raise ValueError(f"action must have shape {self.action_space.shape}, got {action.shape}")
         else:
             action = jnp.asarray(check_action(actions, self.action_space.shape or ()))
-        state = self._state = self.functional.compiled_step(before, action)
+        with batch_of(self.num_envs):
+            state = self._state = self.functional.compiled_step(before, action)
         return self._on_device_result(state) if self._on_device else self._numpy_result(state)
 
     def _on_device_result(self, state: EnvState) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
