@@ -126,14 +126,14 @@ def test_files_and_names(tmp_path: Path) -> None:
     path.write_text("scenarios: 3")
     with pytest.raises(ValueError, match=r"mine.yaml: scenarios must be a list, got 3"):
         load_suite(path)
-    with pytest.raises(ValueError, match="suite 'quack' is unknown; known suites: full, physics, quick, smoke"):
+    with pytest.raises(ValueError, match="suite 'quack' is unknown; known suites: commands, full, physics"):
         load_suite("quack")
     with pytest.raises(FileNotFoundError, match="no suite file at"):
         load_suite(tmp_path / "absent.yaml")
 
 
 def test_shipped_suites_and_their_size() -> None:
-    assert set(suite_names()) == {"full", "physics", "quick", "smoke", "standard", "vendor"}
+    assert set(suite_names()) == {"commands", "full", "physics", "quick", "smoke", "standard", "vendor"}
     suites = {name: load_suite(name) for name in suite_names()}
     assert all(suite.description for suite in suites.values())
     # About 400 robots are simulated in real time on two cores: `quick` stays under a minute with them.
