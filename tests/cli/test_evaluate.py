@@ -102,7 +102,7 @@ def test_suites_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("flags", "message"),
     [
-        (["--suite", "quack"], "suite 'quack' is unknown; known suites: full"),
+        (["--suite", "quack"], "suite 'quack' is unknown; known suites: commands, full"),
         (["--rows", "nowhere.json"], "no file of benchmark rows at nowhere.json"),
         (["nowhere.onnx", "--suite", "smoke"], "no policy file at nowhere.onnx"),
         (["--resume"], "--resume needs --out"),
