@@ -10,16 +10,15 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from asimov_gym.physics import DECIMATION, TIMESTEP
-from asimov_gym.robot.array_library import integer, namespace
+from asimov_gym.robot.array_library import namespace
 from asimov_gym.tasks.walk.config import ShoveConfig
+from asimov_gym.tasks.walk.draws import steps_between
 
 if TYPE_CHECKING:
     from asimov_gym.tasks.walk.state import WalkState
 
 SHOVE_DRAWS = 6
 """Uniform numbers per copy that `shoved` needs."""
-_DT = TIMESTEP * DECIMATION
 _MILDEST = 0.3
 """The weakest shove, as a share of the strongest."""
 
@@ -59,9 +58,4 @@ def _draw_shove(config: ShoveConfig, draws: Any, level: Any) -> tuple[Any, Any, 
     flat = xp.where(vertical, none, size * along)
     force = xp.stack([flat * xp.cos(angle), flat * xp.sin(angle), xp.where(vertical, -size * down, none)], axis=-1)
     force = xp.where(chosen[:, :, None], force, xp.zeros_like(force))
-    return force, _steps(config.duration_s, draws[:, 4]), _steps(config.interval_s, draws[:, 5])
-
-
-def _steps(interval: tuple[float, float], draw: Any) -> Any:
-    xp = namespace(draw)
-    return xp.astype(xp.round((interval[0] + (interval[1] - interval[0]) * draw) / _DT), integer(xp))
+    return force, steps_between(draws[:, 4], config.duration_s), steps_between(draws[:, 5], config.interval_s)

@@ -26,19 +26,14 @@ from asimov_gym.tasks.ground_truth import above_ground, critic_view, ground_trut
 from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.walk import bus_age, rewards
 from asimov_gym.tasks.walk.config import WalkConfig
+from asimov_gym.tasks.walk.draws import DT, between, steps_between
 from asimov_gym.tasks.walk.shove import shoved
 from asimov_gym.tasks.walk.state import COMMAND_DRAWS, PLACE_DRAWS, START_DRAWS, STEP_DRAWS, WalkState
 
-DT = TIMESTEP * DECIMATION
-"""Policy step, s."""
 _JOINTS, _ACTIONS = len(JOINT_NAMES), len(POLICY_JOINT_NAMES)
 _TO_POLICY, _DRIVEN = np.zeros(_JOINTS, dtype=int), np.zeros(_JOINTS)
 _TO_POLICY[POLICY_TO_JOINT], _DRIVEN[POLICY_TO_JOINT] = np.arange(_ACTIONS), 1.0
 """Each joint's place among the actions, and 1 where it has one: the others are held."""
-
-
-def _between(draw: Any, interval: tuple[float, float]) -> Any:
-    return interval[0] + (interval[1] - interval[0]) * draw
 
 
 class WalkTask:
@@ -113,7 +108,7 @@ class WalkTask:
             step=xp.zeros(n, dtype=integer(xp)),
             command=command,
             command_left=left,
-            kick_left=self._steps(_between(draws[:, -2], c.kick.interval_s)),
+            kick_left=steps_between(draws[:, -2], c.kick.interval_s),
             phase=xp.where(draws[:, 1] < 0.5, zeros, zeros + math.pi),
             action=xp.zeros((n, 3, _ACTIONS), dtype=dtype),
             delay=delay if randomise else xp.zeros_like(delay),
@@ -121,7 +116,7 @@ class WalkTask:
             mean_velocity=xp.zeros((n, 3), dtype=dtype),
             shove=xp.zeros((n, len(c.shove.bodies), 3), dtype=dtype),
             shove_left=xp.zeros(n, dtype=integer(xp)),
-            shove_wait=self._steps(_between(draws[:, -1], c.shove.interval_s)),
+            shove_wait=steps_between(draws[:, -1], c.shove.interval_s),
         )
 
     def draw_command(self, draws: Any) -> tuple[Any, Any]:
@@ -129,28 +124,28 @@ class WalkTask:
         xp = namespace(draws)
         c = self.config.command
         axes = (c.vx, c.vy, c.wz)
-        command = xp.stack([_between(draws[:, i], axis) for i, axis in enumerate(axes)], axis=-1)
+        command = xp.stack([between(draws[:, i], axis) for i, axis in enumerate(axes)], axis=-1)
         standing = draws[:, 3] < c.standing_share
         single = draws[:, 3] > 1.0 - c.single_axis_share
         axis = xp.floor(3.0 * draws[:, 4])
         kept = xp.arange(3, dtype=draws.dtype)[None, :] == axis[:, None]
         command = xp.where(single[:, None] & ~kept, xp.zeros_like(command), command)
         command = xp.where(standing[:, None], xp.zeros_like(command), command)
-        return command, self._steps(_between(draws[:, 5], c.interval_s))
+        return command, steps_between(draws[:, 5], c.interval_s)
 
     def draw_body(self, draws: Any) -> BodyParameters:
         """Body figures (N rows) from draws (N, BODY_DRAWS)."""
         xp = namespace(draws)
         r = self.config.randomisation
         com = xp.stack(
-            [_between(draws[:, 2], r.torso_com_x), 0.0 * draws[:, 2], _between(draws[:, 3], r.torso_com_z)], axis=-1
+            [between(draws[:, 2], r.torso_com_x), 0.0 * draws[:, 2], between(draws[:, 3], r.torso_com_z)], axis=-1
         )
         return BodyParameters(
-            foot_friction=_between(draws[:, 0], r.foot_friction),
-            torso_mass=_between(draws[:, 1], r.torso_mass),
+            foot_friction=between(draws[:, 0], r.foot_friction),
+            torso_mass=between(draws[:, 1], r.torso_mass),
             torso_com=com,
-            kp_scale=_between(draws[:, 4 : 4 + _JOINTS], r.kp_scale),
-            kd_scale=_between(draws[:, 4 + _JOINTS :], r.kd_scale),
+            kp_scale=between(draws[:, 4 : 4 + _JOINTS], r.kp_scale),
+            kd_scale=between(draws[:, 4 + _JOINTS :], r.kd_scale),
         )
 
     def draw_kick(self, draws: Any, level: Any) -> tuple[Any, Any]:
@@ -176,11 +171,7 @@ class WalkTask:
             ],
             axis=-1,
         )
-        return kick, self._steps(_between(draws[:, 6], k.interval_s))
-
-    def _steps(self, seconds: Any) -> Any:
-        xp = namespace(seconds)
-        return xp.astype(xp.round(seconds / DT), integer(xp))
+        return kick, steps_between(draws[:, 6], k.interval_s)
 
     # -- a step --------------------------------------------------------------------------------------------------------
 
