@@ -60,9 +60,12 @@ class Drive:
         except (ConnectionError, ImportError, ValueError) as error:
             print(f"asimov drive: {_one_line(error)}", file=sys.stderr)
             return 2
-        signal.signal(signal.SIGTERM, _interrupt)
-        with session:
-            return self._drive(session, steps)
+        before = signal.signal(signal.SIGTERM, _interrupt)
+        try:
+            with session:
+                return self._drive(session, steps)
+        finally:
+            signal.signal(signal.SIGTERM, before)
 
     def _steps(self) -> tuple[Step, ...] | None:
         from asimov_gym.cli.drive_script import parse_script

@@ -21,7 +21,7 @@ from websockets.sync.client import ClientConnection, connect
 from asimov_gym.edge import SimulatedRobot
 from asimov_gym.edge.motion_modes_messages import GET_ACTION, SERVICES, SET_ACTION, VELOCITY
 from asimov_gym.edge.motion_modes_service import MotionModes
-from asimov_gym.edge.transports import TransportError
+from asimov_gym.edge.transports import TransportError, rosbridge
 from asimov_gym.edge.transports.rosbridge import MAX_CLIENTS, MAX_MESSAGE_BYTES, RosbridgeLane
 from asimov_gym.edge.transports.rosbridge_protocol import RosbridgeSession
 from asimov_gym.firmware import WallClock
@@ -240,8 +240,20 @@ def test_who_does_not_read_holds_up_nobody(lane: RosbridgeLane) -> None:
                 assert ask(other, op="call_service", service=GET_ACTION)["result"]
             assert time.monotonic() - start < 2.0
         assert sending.is_alive()  # the lane reads no more from it, either
-        deaf.socket.close()
+        deaf.socket.shutdown(socket.SHUT_RDWR)  # to close it would not wake the thread that sends
         sending.join(5.0)
+        assert not sending.is_alive()
+
+
+def test_who_never_reads_loses_the_connection(lane: RosbridgeLane, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rosbridge, "STALL_S", 0.2)
+    call = json.dumps({"op": "call_service", "service": "/rosapi/services", "id": "x" * 30_000})
+    with client(lane, max_queue=1) as deaf:
+        sending = threading.Thread(target=lambda: _send_on(deaf, call), daemon=True)
+        sending.start()
+        until(lambda: lane.clients == 0, seconds=10.0)
+        sending.join(5.0)
+        assert not sending.is_alive()
 
 
 def _send_on(connection: ClientConnection, text: str) -> None:

@@ -45,6 +45,8 @@ MAX_QUEUED = 64
 out."""
 PING_S = 10.0
 """A client that does not answer a ping in this time is gone."""
+STALL_S = 10.0
+"""So is one that takes nothing of what waits for it in this time: a ping does not even reach it."""
 
 _LOCAL_PAGE = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
 _STOP_S = 2.0
@@ -183,9 +185,9 @@ class RosbridgeLane(Lifecycle, EdgeListener):
                 answer = connection.session.take(text)
                 self._listening = any(each.session.subscriptions for each in self._connections.values())
                 if answer is not None:
-                    await connection.queue.put(json.dumps(answer))
-        except ConnectionClosed:
-            pass  # without a close frame: so do clients that crash
+                    await asyncio.wait_for(connection.queue.put(json.dumps(answer)), STALL_S)
+        except (ConnectionClosed, TimeoutError):
+            socket.transport.abort()  # without a close frame: so do clients that crash
         finally:
             del self._connections[socket]
             self._listening = any(each.session.subscriptions for each in self._connections.values())
@@ -200,9 +202,11 @@ class _Connection:
         self.queue: asyncio.Queue[str] = asyncio.Queue(MAX_QUEUED)
 
     async def write(self, socket: ServerConnection) -> None:
-        with suppress(ConnectionClosed):
+        with suppress(ConnectionClosed, TimeoutError):
             while True:
-                await socket.send(await self.queue.get())
+                text = await self.queue.get()
+                await asyncio.wait_for(socket.send(text), STALL_S)
+        socket.transport.abort()
 
 
 class _Quiet(logging.LoggerAdapter[logging.Logger]):
