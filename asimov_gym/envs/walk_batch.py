@@ -121,7 +121,9 @@ class WalkBatch:
             model = compile_model(profile, visuals=copies == 1, terrain=self.task.terrain)
         self._aged = noise and self.config.noise.can_slot_delay
         trail = self.task.trail if self._aged else 0
-        self.physics = CPhysics(copies, profile, threads, model=model, dump_dir=dump_dir, trail=trail)
+        self.physics = CPhysics(
+            copies, profile, threads, model=model, dump_dir=dump_dir, trail=trail, reading_type=np.float32
+        )
         self._widths = {**self.task.step_draws, **self.task.start_draws}
         self.randomise, self.noise, self.kicks, self.autoreset = randomise, noise, kicks, autoreset
         self.stagger = stagger
@@ -158,7 +160,7 @@ class WalkBatch:
         if self.stagger:
             steps = self.rng.integers(0, self.task.episode_steps, self.copies)
             self.state = replace(self.state, step=steps)
-        self.reading = self.physics.read().astype(np.float32)
+        self.reading = self.physics.read()
         return self._observe()
 
     def seed_copies(self, seeds: Sequence[int]) -> None:
@@ -188,7 +190,7 @@ class WalkBatch:
             fixed = which & np.isfinite(command).all(axis=1)
             self.state.command[fixed] = command[fixed]
             self.state.command_left[fixed] = _FOREVER
-        self.reading = self.physics.read().astype(np.float32)
+        self.reading = self.physics.read()
         rows = self._observe(which)
         observation, privileged = (np.zeros((self.copies, part.shape[1]), dtype=part.dtype) for part in rows)
         observation[which], privileged[which] = rows
@@ -244,7 +246,7 @@ class WalkBatch:
             state = self._kick(state)
             state = self._shove(state)
         target = JointTarget(self.task.targets(state))
-        self.reading = self.physics.step(target, DECIMATION, self._wrench(state)).astype(np.float32)
+        self.reading = self.physics.step(target, DECIMATION, self._wrench(state))
         outcome = self.task.conclude(
             state, self.reading, self.physics.diverged, self._draw("command"), self.curriculum.penalty
         )
@@ -258,7 +260,7 @@ class WalkBatch:
             if self.autoreset:
                 final_observation = observation.copy()
                 self._start(done)
-                self.reading = self.physics.read().astype(np.float32)
+                self.reading = self.physics.read()
                 observation[done], privileged[done] = self._observe(done)
         return WalkStep(
             observation=observation,
@@ -371,7 +373,7 @@ class WalkBatch:
             self.physics.set_parameters(self.body, copies=self._body_drawn)
         self.curriculum = Curriculum(**snapshot["curriculum"])
         self.rng.bit_generator.state = snapshot["rng"]
-        self.reading = self.physics.read().astype(np.float32)
+        self.reading = self.physics.read()
 
 
 def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

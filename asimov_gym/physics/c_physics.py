@@ -41,6 +41,8 @@ class CPhysics:
             physics.
         dump_dir: folder for the state of diverged copies; nothing is written when None.
         trail: how many earlier moments of the joints `joint_trail` remembers.
+        reading_type: floating type of readings. In the engine's own, float64, they look at its state; in another they
+            are copies of it.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class CPhysics:
         model: mujoco.MjModel | None = None,
         dump_dir: Path | None = None,
         trail: int = 0,
+        reading_type: type[np.floating] = np.float64,
     ) -> None:
         if copies < 1:
             raise ValueError(f"copies must be at least 1, got {copies}")
@@ -83,13 +86,15 @@ class CPhysics:
         self._qpos, self._qvel = slice(1, 1 + m.nq), slice(1 + m.nq, 1 + m.nq + m.nv)
         self._warmstart, self._sensed = np.zeros((n, m.nv)), np.zeros((n, m.nsensordata))
         self._reading: Reading | None = None
+        self._reading_type, self._lent = np.dtype(reading_type), False
+        """`_lent`: whether a reading looks at the present state."""
         self.trail = trail
         self._past = np.repeat(self._rows[:, None], trail, axis=1)
         """Rows at the `trail` physics steps before, the latest first."""
         self._due = np.zeros(n)
         """Simulated time that a sound copy has passed, s."""
-        self._controls: dict[tuple[int, int, bool], np.ndarray] = {}
-        """Buffers of `_advance` by substeps, width, and whether loads are ever written."""
+        self._buffers: dict[tuple[int, int, bool], tuple[np.ndarray, ...]] = {}
+        """Controls, rows and sensors of `_advance`, by substeps, width, and whether loads are ever written."""
         if parameters is not None:
             self.set_parameters(parameters)
         self.reset(*self.standing())
@@ -151,8 +156,9 @@ class CPhysics:
         return PhysicsState(rows[:, 0], rows[:, self._qpos], rows[:, self._qvel], self._warmstart, self._sensed)
 
     def _writable(self) -> PhysicsState:
-        """The present state to be changed in place, in new arrays: earlier readings look at the old ones."""
-        self._rows, self._warmstart, self._sensed = self._rows.copy(), self._warmstart.copy(), self._sensed.copy()
+        """The present state to be changed in place; in new arrays where a reading looks at the old ones."""
+        if self._lent:
+            self._rows, self._sensed, self._lent = self._rows.copy(), self._sensed.copy(), False
         self._reading = None
         return self._view()
 
@@ -224,8 +230,10 @@ class CPhysics:
         return self._reading
 
     def _assemble(self) -> Reading:
-        self._rows.flags.writeable = self._sensed.flags.writeable = False
-        qpos, qvel, sensors, places = self._rows[:, self._qpos], self._rows[:, self._qvel], self._sensed, self._sensors
+        rows, sensors = (part.astype(self._reading_type, copy=False) for part in (self._rows, self._sensed))
+        rows.flags.writeable = sensors.flags.writeable = False
+        self._lent = rows is self._rows
+        qpos, qvel, places = rows[:, self._qpos], rows[:, self._qvel], self._sensors
         feet = (self.copies, 2, 3)
         reading = Reading.assemble(
             qpos,
@@ -238,7 +246,7 @@ class CPhysics:
             foot_force=sensors[:, places.foot_force].reshape(feet),
         )
         for gathered in (reading.gravity, reading.joint_position, reading.joint_velocity):
-            gathered.flags.writeable = False  # the others look at the state, which is read-only
+            gathered.flags.writeable = False  # the others are views of what is read-only
         return reading
 
     def _advance(self, substeps: int, position: np.ndarray, load: np.ndarray | None, forces: np.ndarray | None) -> None:
@@ -246,10 +254,9 @@ class CPhysics:
         n, m, start = self.copies, self.model, self._rows
         width = m.nu + (0 if forces is None else 6 * m.nbody)
         kind = substeps, width, load is not None
-        if kind not in self._controls:
-            self._controls[kind] = np.zeros((n, substeps, width))
-        control = self._controls[kind]
-        rows, sensed = np.empty((n, substeps, start.shape[1])), np.empty((n, substeps, m.nsensordata))
+        if kind not in self._buffers:
+            self._buffers[kind] = tuple(np.zeros((n, substeps, k)) for k in (width, start.shape[1], m.nsensordata))
+        control, rows, sensed = self._buffers[kind]
         control[:, :, self.figures.servos] = position
         if load is not None:
             control[:, :, self._loads] = load
@@ -270,7 +277,7 @@ class CPhysics:
             sensordata=sensed,
         )
         before = start if substeps == 1 else rows[:, -2]
-        self._rows, self._sensed = np.ascontiguousarray(rows[:, -1]), np.ascontiguousarray(sensed[:, -1])
+        self._rows, self._sensed, self._lent = rows[:, -1].copy(), sensed[:, -1].copy(), False
         if self.trail:
             passed = np.concatenate([self._past[:, ::-1], start[:, None], rows[:, :-1]], axis=1)
             self._past = passed[:, : -self.trail - 1 : -1]
