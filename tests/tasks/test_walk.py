@@ -104,6 +104,39 @@ def test_every_reward_is_the_same_in_the_mirror(name: str) -> None:
     np.testing.assert_allclose(mirrored, value, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["foot_height", "foot_contact", "rest", "rest_pose", "rest_drift"])
+def test_a_robot_thrown_off_may_step(name: str) -> None:
+    """The terms for standing count at rest, and not while the pelvis moves faster than the configuration says."""
+    _, motion = (task := WalkTask(WalkConfig(thrown_speed=0.3))).motion(*_random_motion(task))
+    still, nothing = np.zeros(16), rewards.TERMS[name]
+    away = replace(motion, moving=still, swing=np.zeros((16, 2)), resting=still)
+    assert (nothing(away) == (1.0 if name.startswith("foot") else 0.0)).all()
+    assert (nothing(replace(away, resting=still + 1.0)) != nothing(away)).any()
+
+
+def test_who_is_thrown_off() -> None:
+    state, reading = _random_motion(task := WalkTask(WalkConfig(thrown_speed=0.5)))
+    state = replace(state, command=np.zeros((16, 3), dtype=np.float32))
+    motion = task.motion(state, reading)[1]
+    speed = np.linalg.norm(reading.base_velocity[:, :2], axis=1)
+    assert (speed > 0.5).any() and (speed < 0.5).any()
+    np.testing.assert_array_equal(motion.resting, speed < 0.5)
+    assert (WalkTask().motion(state, reading)[1].resting == 1.0).all()
+
+
+def test_the_feet_belong_under_the_capture_point() -> None:
+    """Thrown forward at 2 m/s beyond the command, the feet should be half a metre ahead of the pelvis."""
+    state, reading = _random_motion(task := WalkTask())
+    motion = task.motion(state, reading)[1]
+    velocity = np.concatenate([motion.command[:, :2], np.zeros((16, 1))], axis=1) + np.array([2.0, 0.0, 0.0])
+    ahead = np.zeros((16, 2, 3)) + np.array([0.5, 0.0, -0.6])
+    ahead[:, :, 1] = 0.1, -0.1
+    there = rewards.capture(replace(motion, velocity=velocity, foot_offset=ahead))
+    np.testing.assert_allclose(there, 1.0)
+    short = rewards.capture(replace(motion, velocity=velocity, foot_offset=ahead * np.array([0.5, 1.0, 1.0])))
+    assert (short < 0.3).all()
+
+
 def test_tracking_is_best_on_the_command() -> None:
     task = WalkTask()
     state, reading = _random_motion(task)

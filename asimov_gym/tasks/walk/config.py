@@ -204,6 +204,9 @@ class WalkConfig:
     """Peak height of the swinging foot above the ground, m."""
     mean_velocity_s: float = 0.4
     """Time constant of the averaged velocity in the mean tracking terms, s."""
+    thrown_speed: float = 100.0
+    """A robot that is asked to stand and moves faster than this, m/s, was thrown off: until it is slower it may step,
+    and no term for standing counts. By default none ever is."""
     command: CommandConfig = field(default_factory=CommandConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
@@ -224,6 +227,7 @@ class WalkConfig:
         check_range("action_clip", self.action_clip, 0.1, 100.0)
         check_range("step_height", self.step_height, 0.0, 0.3)
         check_range("mean_velocity_s", self.mean_velocity_s, 0.02, 10.0)
+        check_range("thrown_speed", self.thrown_speed, 0.0, 100.0)
         from asimov_gym.tasks.walk.rewards import TERMS
 
         check_weights("rewards", self.rewards, TERMS)

@@ -19,6 +19,9 @@ from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, POLICY_TO_JOINT, RANGE,
 CONTACT_FORCE = 5.0
 """A foot carries when the ground pushes it up with more than this, N."""
 
+_PENDULUM_S = 0.25
+"""Time constant of an inverted pendulum as high as the pelvis, sqrt(0.61 m / g), s."""
+
 # How far a joint may stray before the pose term costs a unit, rad: generous where walking needs it.
 _SPREAD = {"hip_pitch": 0.5, "knee": 0.5, "ankle_pitch": 0.3}
 _ARM_SPREAD = {"shoulder_pitch": 0.2, "elbow": 0.2}
@@ -59,6 +62,8 @@ class Motion:
     """(N, 3)."""
     moving: Any
     """(N,), 1 where the command asks to walk."""
+    resting: Any
+    """(N,), 1 where it asks to stand and nothing has thrown the robot off: the terms for standing hold then."""
     swing: Any
     """Sine of each foot's phase while moving, 0 at rest, (N, 2); positive while it should swing."""
     action: Any
@@ -70,7 +75,7 @@ def track_velocity(m: Motion) -> Any:
     """Follow the commanded planar velocity."""
     xp = namespace(m.velocity)
     error = m.velocity[:, 0:2] - m.command[:, 0:2]
-    return xp.exp(-_squares(error) / 0.25)
+    return xp.exp(-squares(error) / 0.25)
 
 
 def track_yaw_rate(m: Motion) -> Any:
@@ -84,7 +89,7 @@ def track_mean_velocity(m: Motion) -> Any:
     """Follow the commanded planar velocity on average over a gait cycle, sharply."""
     xp = namespace(m.velocity)
     error = m.mean_velocity[:, 0:2] - m.command[:, 0:2]
-    return xp.exp(-_squares(error) / 0.02)
+    return xp.exp(-squares(error) / 0.02)
 
 
 def track_mean_yaw_rate(m: Motion) -> Any:
@@ -92,6 +97,15 @@ def track_mean_yaw_rate(m: Motion) -> Any:
     xp = namespace(m.velocity)
     error = m.mean_velocity[:, 2] - m.command[:, 2]
     return xp.exp(-error * error / 0.04)
+
+
+def capture(m: Motion) -> Any:
+    """Bring the feet under where the pelvis is thrown: the point at which a walker must step to come to rest again
+    (Pratt et al. 2006, Humanoids), as seen from the commanded velocity, should lie between them."""
+    xp = namespace(m.velocity)
+    middle = 0.5 * (m.foot_offset[:, 0, 0:2] + m.foot_offset[:, 1, 0:2])
+    point = (m.velocity[:, 0:2] - m.command[:, 0:2]) * _PENDULUM_S
+    return xp.exp(-squares(point - middle) / 0.04)
 
 
 def alive(m: Motion) -> Any:
@@ -103,19 +117,19 @@ def foot_height(m: Motion) -> Any:
     """Lift each foot by its clock; keep both on the ground at rest."""
     xp = namespace(m.velocity)
     error = m.foot_height - m.step_height * xp.clip(m.swing, 0.0, 1.0)
-    return xp.exp(-_squares(error) / 0.003)
+    return xp.exp(-squares(error) * (m.moving + m.resting) / 0.003)
 
 
 def foot_contact(m: Motion) -> Any:
     """Share of the feet whose contact agrees with the clock; at rest both should carry."""
     xp = namespace(m.velocity)
     wanted = xp.astype(m.swing <= 0.0, m.velocity.dtype)
-    return xp.mean(1.0 - xp.abs(m.contact - wanted), axis=-1)
+    return 1.0 - xp.mean(xp.abs(m.contact - wanted), axis=-1) * (m.moving + m.resting)
 
 
 def tilt(m: Motion) -> Any:
     """Squared sine of the pelvis' tilt."""
-    return _squares(m.reading.gravity[:, 0:2])
+    return squares(m.reading.gravity[:, 0:2])
 
 
 def pose(m: Motion) -> Any:
@@ -125,7 +139,7 @@ def pose(m: Motion) -> Any:
 
 def rest_pose(m: Motion) -> Any:
     """Distance from the standing pose while asked to stand."""
-    return _stray(m) * (1.0 - m.moving)
+    return _stray(m) * m.resting
 
 
 def _stray(m: Motion) -> Any:
@@ -136,7 +150,7 @@ def _stray(m: Motion) -> Any:
     return xp.sum(stray * stray, axis=-1) / len(POLICY_TO_JOINT)
 
 
-def _squares(vector: Any) -> Any:
+def squares(vector: Any) -> Any:
     """Sum of squares over a short last axis. NumPy adds columns five times as fast as it sums along so few entries."""
     total = vector[..., 0] ** 2
     for i in range(1, vector.shape[-1]):
@@ -146,7 +160,7 @@ def _squares(vector: Any) -> Any:
 
 def tilt_rate(m: Motion) -> Any:
     """Squared roll and pitch rate."""
-    return _squares(m.reading.gyro[:, 0:2])
+    return squares(m.reading.gyro[:, 0:2])
 
 
 def vertical_speed(m: Motion) -> Any:
@@ -168,13 +182,13 @@ def action_jerk(m: Motion) -> Any:
 
 def slip(m: Motion) -> Any:
     """Squared horizontal speed of carrying feet."""
-    speed = _squares(m.reading.foot_velocity[:, :, 0:2]) * m.contact
+    speed = squares(m.reading.foot_velocity[:, :, 0:2]) * m.contact
     return speed[:, 0] + speed[:, 1]
 
 
 def flat_foot(m: Motion) -> Any:
     """Squared tilt of the soles."""
-    lean = _squares(m.reading.foot_up[:, :, 0:2])
+    lean = squares(m.reading.foot_up[:, :, 0:2])
     return lean[:, 0] + lean[:, 1]
 
 
@@ -196,14 +210,14 @@ def feet_apart(m: Motion) -> Any:
 def rest(m: Motion) -> Any:
     """Mean squared joint speed while asked to stand."""
     xp = namespace(m.velocity)
-    return xp.mean(m.reading.joint_velocity**2, axis=-1) * (1.0 - m.moving)
+    return xp.mean(m.reading.joint_velocity**2, axis=-1) * m.resting
 
 
 def rest_drift(m: Motion) -> Any:
     """Horizontal speed of the pelvis while asked to stand: over time, the way it drifts."""
     xp = namespace(m.velocity)
     speed = xp.sqrt(xp.sum(m.velocity[:, 0:2] ** 2, axis=-1))
-    return speed * (1.0 - m.moving)
+    return speed * m.resting
 
 
 def effort(m: Motion) -> Any:
@@ -221,6 +235,7 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
             track_yaw_rate,
             track_mean_velocity,
             track_mean_yaw_rate,
+            capture,
             alive,
             foot_height,
             foot_contact,

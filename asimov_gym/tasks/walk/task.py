@@ -232,6 +232,7 @@ class WalkTask:
         moving = gait_clock.is_moving(state.command, self.config.standing_threshold)
         walking = xp.astype(moving, velocity.dtype)
         sine = xp.sin(state.phase) * walking
+        calm = rewards.squares(velocity[:, 0:2]) < self.config.thrown_speed**2
         offset = reading.foot_position - reading.base_position[:, None, :]
         motion = rewards.Motion(
             reading=reading,
@@ -243,6 +244,7 @@ class WalkTask:
             contact=xp.astype(reading.foot_force[:, :, 2] > rewards.CONTACT_FORCE, velocity.dtype),
             command=state.command,
             moving=walking,
+            resting=xp.astype(calm & ~moving, velocity.dtype),
             swing=xp.stack([sine, -sine], axis=-1),
             action=state.action,
             step_height=self.config.step_height,
