@@ -56,6 +56,9 @@ def from_mapping(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
     if unknown:
         place = f" in {where}" if where else ""
         raise ValueError(f"unknown keys {unknown}{place}; known keys: {', '.join(known)}")
+    missing = sorted(name for name, f in known.items() if name not in data and _is_required(f))
+    if missing:
+        raise ValueError(f"{where or cls.__name__} lacks {', '.join(missing)}; known keys: {', '.join(known)}")
     hints = typing.get_type_hints(cls)
     values = {}
     for name, value in data.items():
@@ -100,6 +103,10 @@ def to_mapping(config: Any) -> Any:
 def save(config: Any, path: Path) -> None:
     """Write a dataclass as YAML."""
     path.write_text(yaml.safe_dump(to_mapping(config), sort_keys=False), encoding="utf-8")
+
+
+def _is_required(field: dataclasses.Field[Any]) -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def _convert(hint: Any, value: Any, path: str, field: dataclasses.Field[Any]) -> Any:

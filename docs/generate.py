@@ -29,7 +29,8 @@ from asimov_gym.firmware.modes import COLUMNS, HELD
 DOCS = Path(__file__).resolve().parent
 PROTO = DOCS.parent / "proto"
 sys.path.insert(0, str(DOCS))
-import throughput  # noqa: E402  (scripts beside this one)
+import recipe_page  # noqa: E402  (scripts beside this one)
+import throughput  # noqa: E402
 from state_diagram import svg  # noqa: E402
 
 _Field = descriptor_pb2.FieldDescriptorProto
@@ -253,6 +254,7 @@ def pages() -> dict[str, str]:
         "motion_modes.md": motion_modes(),
         "state_machine.svg": svg(),
         "benchmarks.md": throughput.page(_HEADER),
+        "recipe.md": recipe_page.page(table),
         "benchmarks.svg": throughput.svg(),
     }
 

@@ -1,4 +1,4 @@
-"""`python -m train ppo | resume | export | card`: make the MOVE/POLICY network."""
+"""`python -m train ppo | recipe | resume | export | card`: make the MOVE/POLICY network."""
 
 from __future__ import annotations
 
@@ -56,6 +56,21 @@ class Card:
     """Suite to judge it by: a name, or a YAML file."""
 
 
+@dataclass(frozen=True)
+class RecipeFlags:
+    """Make a policy from nothing: train the stages of a recipe one after the other, export, write the card. The same
+    command goes on where it stopped. Without a name the recipes are listed."""
+
+    name: tyro.conf.Positional[str | None] = None
+    """Recipe: a name, or a YAML file."""
+    runs: Path = Path("runs")
+    """Folder that holds the runs; those of the recipe are in one of its name."""
+    scale: float = 1.0
+    """Multiplies the samples of all stages."""
+    suite: str = "quick"
+    """Suite to judge the result by: a name, or a YAML file."""
+
+
 def _ppo(arguments: list[str]) -> int:
     """Train a walking policy with PPO."""
     from train.config import PpoConfig, load_preset, preset_names
@@ -110,15 +125,32 @@ def _card(arguments: list[str]) -> int:
     return write_run_card(card.run, card.policy, card.notes, card.suite, card.earlier)
 
 
-_COMMANDS = {"ppo": _ppo, "resume": _resume, "export": _export, "card": _card}
+def _recipe(arguments: list[str]) -> int:
+    from train.recipe import load_recipe, recipe_names
+
+    flags = tyro.cli(RecipeFlags, args=arguments, prog="python -m train recipe")
+    if flags.name is None:
+        recipes = [load_recipe(name) for name in recipe_names()]
+        for recipe in recipes:
+            stages = f"{len(recipe.stages)} stages, {recipe.samples / 1e6:.2f}M samples"
+            print(f"{recipe.name:{max(len(r.name) for r in recipes)}}  {stages:28}  {recipe.about}")
+        return 0
+    recipe = load_recipe(flags.name)
+    from train.recipe_run import RecipeRun
+
+    return RecipeRun(recipe, flags.runs, flags.scale, flags.suite, flags.name).execute()
+
+
+_COMMANDS = {"ppo": _ppo, "recipe": _recipe, "resume": _resume, "export": _export, "card": _card}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: python -m train {ppo,resume,export,card} [flags]\n")
+        print("usage: python -m train {ppo,recipe,resume,export,card} [flags]\n")
         print("  ppo     train a walking policy (see: python -m train ppo --help)")
+        print("  recipe  make a policy from nothing, in several stages (alone: lists the recipes)")
         print("  resume  continue a run from its newest checkpoint")
         print("  export  write a run's network as ONNX")
         print("  card    evaluate a run's network and write its card")

@@ -140,7 +140,7 @@ def write_card(
 
 ## Training
 
-Each stage is `python -m train ppo --preset PRESET`, a later one with `--warm-start` and the run before it.
+{_how_it_was_made(folder)}
 
 | stage | preset | samples | minutes | commit |
 |---|---|---|---|---|
@@ -161,6 +161,13 @@ collisions, elliptic friction cone and dry joint friction, no rope; every scenar
 
 {notes}"""
     path.write_text(card, encoding="utf-8")
+
+
+def _how_it_was_made(folder: RunFolder) -> str:
+    recipe = folder.origin().get("recipe")
+    if recipe is not None:
+        return f"Made by `{recipe}`, stage after stage."
+    return "Each stage is `python -m train ppo --preset PRESET`, a later one with `--warm-start` and the run before it."
 
 
 def card_figures(result: SuiteResult) -> dict[str, Any]:

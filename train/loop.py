@@ -141,7 +141,7 @@ class TrainingLoop(abc.ABC):
 
     def run(self) -> bool:
         """Train to the end or to an interrupt of any rank; True when the run is complete."""
-        writer = SummaryWriter(str(self.folder.path / "curves")) if self.ranks.first else None
+        writer = self._curves() if self.ranks.first else None
         started, saved, told, stop = time.monotonic(), time.monotonic(), 0.0, False
         first_samples, before = self.progress.samples, self.progress.seconds
         with Interrupt(self.console).listening() as interrupt:
@@ -167,6 +167,11 @@ class TrainingLoop(abc.ABC):
             writer.close()
         self.close()
         return self.progress.samples >= self.config.samples
+
+    def _curves(self) -> SummaryWriter:
+        """Where the curves go on. What a killed process wrote after its last checkpoint does not count."""
+        purged = self.progress.samples + 1 if self.progress.samples else None
+        return SummaryWriter(str(self.folder.path / "curves"), purge_step=purged)
 
     def reward_table(self) -> Table:
         """Shares of the reward terms under the untrained policy, to catch a term that drowns the others."""

@@ -35,6 +35,16 @@ def present_commit() -> str | None:
     return commit.strip() + ("+" if changed.stdout.strip() else "")
 
 
+def _dated(path: Path) -> Path:
+    """The path with the date before its name, and a number behind it where that is taken."""
+    stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}_{path.name}"
+    dated, count = path.with_name(stem), 1
+    while dated.exists():
+        count += 1
+        dated = path.with_name(f"{stem}_{count}")
+    return dated
+
+
 class RunFolder:
     """Files of one training run: `config.yaml`, `checkpoints/`, `curves/`, `policy.onnx`."""
 
@@ -43,7 +53,13 @@ class RunFolder:
 
     @classmethod
     def create(
-        cls, root: Path, preset: str, config: PpoConfig, name: str | None = None, parent: RunFolder | None = None
+        cls,
+        root: Path,
+        preset: str,
+        config: PpoConfig,
+        name: str | None = None,
+        parent: RunFolder | None = None,
+        recipe: str | None = None,
     ) -> RunFolder:
         """Make a new folder `root/<date>_<name>` with the resolved configuration and the run's origin in it.
 
@@ -53,16 +69,19 @@ class RunFolder:
             config: settings.
             name: of the run; the preset's when None.
             parent: run whose networks this one starts with.
+            recipe: command of the recipe whose stage this run is; the folder is then `root/<name>`.
+
+        Raises:
+            FileExistsError: the stage's folder is there.
         """
-        stem = f"{time.strftime('%Y-%m-%d_%H-%M-%S')}_{name or preset}"
-        path, count = root / stem, 1
-        while path.exists():
-            count += 1
-            path = root / f"{stem}_{count}"
+        path = root / (name or preset)
+        if recipe is None:
+            path = _dated(path)
         path.mkdir(parents=True)
         presets.save(config, path / "config.yaml")
         origin: dict[str, Any] = {"preset": preset, "commit": present_commit(), "model_sha256": model_sha256()}
         origin["machine"] = machine()
+        origin["recipe"] = recipe
         origin["after"] = None if parent is None else parent.history()
         (path / "origin.json").write_text(json.dumps(origin, indent=2) + "\n", encoding="utf-8")
         return cls(path)
@@ -90,9 +109,14 @@ class RunFolder:
         return [*(origin["after"] or []), stage]
 
     def origin(self) -> dict[str, Any]:
-        """What the run was started from: `preset`, `commit`, `model_sha256`, `machine`, and the stages `after` which it
-        came."""
+        """What the run was started from: `preset`, `commit`, `model_sha256`, `machine`, the command of the
+        `recipe` whose stage it is, and the stages `after` which it came."""
         return json.loads((self.path / "origin.json").read_text(encoding="utf-8"))
+
+    def samples(self) -> int:
+        """Samples at the newest checkpoint; 0 where there is none."""
+        found = self.checkpoints()
+        return int(found[-1].stem.removeprefix("checkpoint_")) if found else 0
 
     def checkpoints(self) -> list[Path]:
         """Checkpoints, oldest first."""

@@ -9,6 +9,7 @@ import torch
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
+from asimov_gym.evaluation.journal import HEADER_FILE
 from asimov_gym.evaluation.report import summary, write_report
 from asimov_gym.evaluation.runner import SuiteRun
 from asimov_gym.evaluation.suite import load_suite
@@ -28,8 +29,18 @@ from train.weights import NetworkWeights
 _console = Console(soft_wrap=True, highlight=False, force_jupyter=False)
 
 
-def start_run(config: PpoConfig, root: Path, preset: str, name: str, warm_start: Path | None = None) -> int:
-    """Train in a new run folder, from the networks of another run if one is given; returns the exit code."""
+def start_run(
+    config: PpoConfig,
+    root: Path,
+    preset: str,
+    name: str,
+    warm_start: Path | None = None,
+    recipe: str | None = None,
+) -> int:
+    """Train in a new run folder, from the networks of another run if one is given; returns the exit code.
+
+    `recipe` is the command of the recipe whose stage this is: see `RunFolder.create`.
+    """
     parent = None if warm_start is None else RunFolder(warm_start)
     with Ranks.joined() as ranks:
         chosen, reason = ranks.from_first(lambda: settled(config))
@@ -39,7 +50,7 @@ def start_run(config: PpoConfig, root: Path, preset: str, name: str, warm_start:
 
         def create() -> Path:
             before = None if warm_start is None else RunFolder.open(warm_start)
-            return RunFolder.create(root, preset, chosen, name, before).path
+            return RunFolder.create(root, preset, chosen, name, before, recipe).path
 
         folder = RunFolder(ranks.from_first(create))
         trainer = _trainer(chosen, folder, ranks)
@@ -95,7 +106,8 @@ def _finish(folder: RunFolder, complete: bool, ranks: Ranks) -> int:
     if not ranks.first:
         return 0
     if not complete:
-        _console.print(f"stopped; continue with:  {ranks.command} resume {folder.path}")
+        recipe = folder.origin().get("recipe")  # runs older than recipes do not have it
+        _console.print(f"stopped; continue with:  {recipe or f'{ranks.command} resume {folder.path}'}")
         return 0
     return export_run(folder.path, None)
 
@@ -151,7 +163,7 @@ def write_run_card(
     policy = load_policy(policy_file)
     text = notes.read_text(encoding="utf-8") if notes is not None else ""
     place = folder.path / "evaluation" / f"{suite.name}_{suite.hash[:8]}_{policy.sha256[:8]}"
-    run = SuiteRun(policy, suite, place, resume=place.is_dir())
+    run = SuiteRun(policy, suite, place, resume=(place / HEADER_FILE).is_file())
     with Progress(console=_console, transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
