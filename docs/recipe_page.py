@@ -123,7 +123,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("learner.desired_kl", "KL divergence that it adapts to"),
         Row("learner.clip", "clip of the likelihood ratio"),
         Row("learner.initial_std", "exploration of a new network"),
-        Row("learner.warm_std", "least exploration after a warm start"),
+        Row("learner.warm_std", "bounds of exploration after a warm start"),
     ),
 }
 """Tables of settings on the page, by the name in their marker; what none of them names goes to one called `others`."""

@@ -10,7 +10,7 @@ import tyro
 from asimov_gym.assets import config_path
 from asimov_gym.physics import PROFILES
 from asimov_gym.physics.profile import ENGINES
-from asimov_gym.presets import load
+from asimov_gym.presets import check_interval, load
 from asimov_gym.tasks.walk import WalkConfig
 
 LIBRARIES = ("brax", "rsl_rl")
@@ -25,9 +25,10 @@ class LearnerConfig:
     """Widths of the hidden layers of actor and critic."""
     initial_std: float = 1.0
     """Standard deviation of exploration at the start, in action units. Half of it learns to stand and never to step."""
-    warm_std: float | None = None
-    """Least standard deviation of exploration after a warm start; what the other run ended with when omitted. A policy
-    that has settled tries too little to find an answer to something new, as a harder push."""
+    warm_std: tuple[float, float] | None = None
+    """Least and largest standard deviation of exploration after a warm start; what the other run ended with when
+    omitted. A policy that has settled tries too little to find an answer to something new, as a harder push; one that
+    explores widely does not learn to be exact."""
     steps: int = 24
     """Policy steps of each copy per update."""
     epochs: int = 4
@@ -52,10 +53,11 @@ class LearnerConfig:
         for name in ("gamma", "lam"):
             if not 0.0 < getattr(self, name) <= 1.0:
                 raise ValueError(f"learner.{name} must lie in (0, 1], got {getattr(self, name)}")
-        for name in ("initial_std", "warm_std", "learning_rate", "desired_kl", "clip"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < 100.0:
-                raise ValueError(f"learner.{name} must lie in (0, 100), got {value}")
+        for name in ("initial_std", "learning_rate", "desired_kl", "clip"):
+            if not 0.0 < getattr(self, name) < 100.0:
+                raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
+        if self.warm_std is not None:
+            check_interval("learner.warm_std", self.warm_std, 1e-3, 100.0)
         if self.symmetry not in ("network", "samples", "none"):
             raise ValueError(f"learner.symmetry must be network, samples or none, got {self.symmetry!r}")
         if not self.hidden or min(self.hidden) < 1:

@@ -196,7 +196,9 @@ class TrainingLoop(abc.ABC):
         return folder if self.ranks.first else folder / f"rank_{self.ranks.rank}"
 
 
-def checkpoint_of(other: RunFolder, ranks: Ranks, warm_std: float | None = None) -> tuple[str, dict[str, Any]]:
+def checkpoint_of(
+    other: RunFolder, ranks: Ranks, warm_std: tuple[float, float] | None = None
+) -> tuple[str, dict[str, Any]]:
     """The learner of a run, and what it had learned at its newest checkpoint; for all ranks.
 
     Args:

@@ -100,18 +100,18 @@ class NetworkWeights:
         return arrays
 
 
-def with_exploration(learned: Mapping[str, Any], least: float | None) -> dict[str, Any]:
-    """The learner's part of a checkpoint of either library, no deviation of its actions below `least`."""
-    if least is None:
+def with_exploration(learned: Mapping[str, Any], bounds: tuple[float, float] | None) -> dict[str, Any]:
+    """The learner's part of a checkpoint of either library, the deviations of its actions within these bounds."""
+    if bounds is None:
         return dict(learned)
-    low = float(np.log(least))
+    low, high = (float(np.log(bound)) for bound in bounds)
     if "actor_state_dict" in learned:
         name = "distribution.log_std_param"
-        actor = {**learned["actor_state_dict"], name: learned["actor_state_dict"][name].clamp(min=low)}
+        actor = {**learned["actor_state_dict"], name: learned["actor_state_dict"][name].clamp(low, high)}
         return {**learned, "actor_state_dict": actor}
     networks = learned["networks"]
-    raised = np.maximum(networks["actor.log_std"], np.float32(low))
-    return {**learned, "networks": {**networks, "actor.log_std": raised}}
+    bounded = np.clip(networks["actor.log_std"], np.float32(low), np.float32(high))
+    return {**learned, "networks": {**networks, "actor.log_std": bounded}}
 
 
 def _array(tensor: torch.Tensor) -> np.ndarray:

@@ -44,11 +44,11 @@ def test_a_warm_start_begins_with_the_networks_of_the_other_run(stages: list[Run
         RunFolder.open(first.path / "nowhere")
 
 
-def test_a_warm_start_can_explore_more_than_the_other_run_did(stages: list[RunFolder], tmp_path: Path) -> None:
+def test_a_warm_start_can_explore_more_or_less_than_the_other_run_did(stages: list[RunFolder], tmp_path: Path) -> None:
     first = stages[0]
     config = first.config()
     explored = Trainer(config, first).learned()["actor_state_dict"]["distribution.log_std_param"]
-    wide = replace(config, learner=replace(config.learner, warm_std=1.7))
+    wide = replace(config, learner=replace(config.learner, warm_std=(1.7, 1.8)))
     trainer = Trainer(wide, RunFolder.create(tmp_path, "smoke", wide))
     trainer.warm_start(first)
     assert float(explored.exp().max()) < 1.6
@@ -56,9 +56,9 @@ def test_a_warm_start_can_explore_more_than_the_other_run_did(stages: list[RunFo
         trainer.learned()["actor_state_dict"]["distribution.log_std_param"].exp().numpy(), 1.7, atol=1e-6
     )
     as_brax = {"networks": {"actor.log_std": np.log(np.array([0.2, 2.0], np.float32)), "critic": 1}, "optimiser": 2}
-    raised = with_exploration(as_brax, 1.7)
-    np.testing.assert_allclose(np.exp(raised["networks"]["actor.log_std"]), [1.7, 2.0], rtol=1e-6)
-    assert raised["networks"]["critic"] == 1 and raised["optimiser"] == 2
+    bounded = with_exploration(as_brax, (1.7, 1.8))
+    np.testing.assert_allclose(np.exp(bounded["networks"]["actor.log_std"]), [1.7, 1.8], rtol=1e-6)
+    assert bounded["networks"]["critic"] == 1 and bounded["optimiser"] == 2
     assert with_exploration(as_brax, None) == as_brax
 
 
