@@ -105,7 +105,7 @@ def capture(m: Motion) -> Any:
     xp = namespace(m.velocity)
     middle = 0.5 * (m.foot_offset[:, 0, 0:2] + m.foot_offset[:, 1, 0:2])
     point = (m.velocity[:, 0:2] - m.command[:, 0:2]) * _PENDULUM_S
-    return xp.exp(-squares(point - middle) / 0.04)
+    return 1.0 / (1.0 + squares(point - middle) / 0.0225)  # half of it at 15 cm; falls slowly, to lead from afar
 
 
 def alive(m: Motion) -> Any:
