@@ -44,7 +44,7 @@ def check_weights(name: str, weights: Mapping[str, float], terms: Mapping[str, A
 def from_mapping(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
     """Build a dataclass from nested mappings; fields that are missing keep their defaults.
 
-    A field that is itself a mapping of numbers (reward weights) is laid over its default, key by key.
+    A field that is itself a mapping, such as that of the reward weights, is laid over its default, key by key.
 
     Raises:
         ValueError: an unknown key or a value of the wrong kind; the message names the field and what is known.
@@ -122,7 +122,7 @@ def _convert(hint: Any, value: Any, path: str, field: dataclasses.Field[Any]) ->
         if not isinstance(value, collections.abc.Mapping):
             raise ValueError(f"{path} must be a mapping, got {value!r}")
         default = field.default_factory() if field.default_factory is not dataclasses.MISSING else {}
-        return {**default, **{k: _number(v, f"{path}.{k}") for k, v in value.items()}}
+        return {**default, **{k: _convert(args[1], v, f"{path}.{k}", field) for k, v in value.items()}}
     if origin is tuple:
         if not isinstance(value, list | tuple):
             raise ValueError(f"{path} must be a list, got {value!r}")

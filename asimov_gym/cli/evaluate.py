@@ -188,11 +188,15 @@ def _list_suites(console: Console) -> int:
         console.print(
             f"{suite.name:<9} {suite.description}\n"
             f"          {len(suite.scenarios)} scenarios, {len(suite.trials)} trials, "
-            f"{suite.robot_seconds / 3600:.1f} robot-hours{searches}",
+            f"{_robot_time(suite.robot_seconds)}{searches}",
             highlight=False,
             markup=False,
         )
     return 0
+
+
+def _robot_time(seconds: float) -> str:
+    return f"{seconds:.0f} robot-seconds" if seconds < 3600.0 else f"{seconds / 3600.0:.1f} robot-hours"
 
 
 def _new_folder(*words: str) -> Path:

@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from asimov_gym.evaluation.aggregate import Group, by_scenario, select
+from asimov_gym.evaluation.aggregate import Group, select
 from asimov_gym.evaluation.bars import terrain_figure
-from asimov_gym.evaluation.metrics import joint_metric
+from asimov_gym.evaluation.plot_data import ScenarioFigures, TorqueUse, scenario_figures, torques
 from asimov_gym.evaluation.plot_style import (
     BLUE,
     GREY,
@@ -34,7 +34,6 @@ from asimov_gym.evaluation.plot_style import (
 from asimov_gym.evaluation.push_plot import push_map
 from asimov_gym.evaluation.results import ScenarioInfo, SuiteResult
 from asimov_gym.evaluation.trace_plots import gait_diagram, square_paths
-from asimov_gym.robot.joints import JOINT_NAMES
 
 Draw = Callable[[SuiteResult, Path], "Figure | str"]
 """Draws a result whose traces lie in a folder; a text instead of a figure says why there is none."""
@@ -73,16 +72,21 @@ def draw_plots(result: SuiteResult, folder: Path) -> list[Plot]:
 
 def error_grid(result: SuiteResult, folder: Path) -> Figure | str:
     """Velocity errors of the command grid: a map of vx and yaw rate for each vy, planar error above yaw rate error."""
-    cells = _grid_cells(result)
+    return draw_error_grid(scenario_figures(result)) or "the suite has no command grid"
+
+
+def draw_error_grid(scenarios: Sequence[ScenarioFigures]) -> Figure | None:
+    """The maps of those scenarios that belong to the grid; None of fewer than two."""
+    cells = {tuple(one.command): one for one in scenarios if one.config == "grid" and one.trials}
     if len(cells) < 2:
-        return "the suite has no command grid"
+        return None
     vys = sorted({vy for _, vy, _ in cells})
     vxs, wzs = sorted({vx for vx, _, _ in cells}), sorted({wz for _, _, wz in cells})
     rows = (("velocity_error_m_s", "velocity error, m/s"), ("yaw_rate_error_rad_s", "yaw rate error, rad/s"))
     figure = new_figure(1.6 + max(2.6, 0.62 * len(wzs)) * len(vys), 1.2 + 2.0 * max(1.3, 0.36 * len(vxs)))
     axes = figure.subplots(2, len(vys), squeeze=False, sharex=True, sharey=True)
     for row, (metric, label) in enumerate(rows):
-        means = {command: group.mean_value(metric) for command, group in cells.items()}
+        means = {command: one.mean(metric) for command, one in cells.items()}
         top = max((mean for mean in means.values() if mean is not None), default=0.0) or 1.0
         image: Any = None
         for axis, vy in zip(axes[row], vys, strict=True):
@@ -92,9 +96,9 @@ def error_grid(result: SuiteResult, folder: Path) -> Figure | str:
                     values[vxs.index(vx), wzs.index(wz)] = mean
             axis.set_facecolor(PALE)
             image = axis.imshow(values, cmap=SEQUENTIAL, vmin=0.0, vmax=top, origin="lower", aspect="auto")
-            for command, group in cells.items():
+            for command, one in cells.items():
                 if command[1] == vy:
-                    _cell_text(axis, (wzs.index(command[2]), vxs.index(command[0])), group, means[command], top)
+                    _cell_text(axis, (wzs.index(command[2]), vxs.index(command[0])), one, means[command], top)
             axis.set_xticks(range(len(wzs)), [f"{wz:g}" for wz in wzs], fontsize=8)
             axis.set_yticks(range(len(vxs)), [f"{vx:g}" for vx in vxs], fontsize=8)
             if row == 0:
@@ -109,24 +113,13 @@ def error_grid(result: SuiteResult, folder: Path) -> Figure | str:
     return figure
 
 
-def _grid_cells(result: SuiteResult) -> dict[tuple[float, float, float], Group]:
-    """Scenarios of the grid by command."""
-    cells: dict[tuple[float, float, float], Group] = {}
-    for group in by_scenario(result):
-        info = group.scenarios[0]
-        if info.config == "grid" and group.trials:
-            _, vx, vy, wz = info.commands[-1]
-            cells[vx + 0.0, vy + 0.0, wz + 0.0] = group
-    return cells
-
-
-def _cell_text(axis: Axes, place: tuple[int, int], group: Group, mean: float | None, top: float) -> None:
-    fell = group.survival.whole - group.survival.passed
+def _cell_text(axis: Axes, place: tuple[int, int], one: ScenarioFigures, mean: float | None, top: float) -> None:
+    fell = one.trials - one.survived
     dark = mean is not None and mean > 0.55 * top
     text = "" if mean is None else f"{mean:.3f}"
     axis.text(*place, text, ha="center", va="center", fontsize=7, color="white" if dark else "black")
     if fell:
-        mark = f"✕ {fell} of {group.survival.whole}"
+        mark = f"✕ {fell} of {one.trials}"
         axis.text(
             place[0], place[1] - 0.32, mark, ha="center", va="center", fontsize=6.5, color="white" if dark else RED
         )
@@ -231,35 +224,37 @@ def _points(result: SuiteResult, sweep: _Sweep) -> list[tuple[float, Group]]:
 
 def torque_use(result: SuiteResult, folder: Path) -> Figure | str:
     """RMS and peak torque of every joint as a share of its limit."""
-    group = select(result, "grid", lambda info: info.config == "grid")
-    where = "command grid"
-    if not group.trials:
-        group, where = select(result, "all", lambda info: True), "all scenarios"
-    everything = select(result, "all", lambda info: True)
-    kinds = list(dict.fromkeys(joint.removeprefix("left_").removeprefix("right_") for joint in JOINT_NAMES))
-    sides = {joint: _side(joint) for joint in JOINT_NAMES}
-    if group.mean_value(joint_metric("torque_rms_share", JOINT_NAMES[0])) is None:
-        return "no trial has joint torques"
+    return draw_torques(torques(result)) or "no trial has joint torques"
+
+
+def draw_torques(use: TorqueUse) -> Figure | None:
+    """The bars of every joint; None of none."""
+    if not use.joints:
+        return None
+    names = [torque.joint for torque in use.joints]
+    kinds = list(dict.fromkeys(name.removeprefix("left_").removeprefix("right_") for name in names))
     figure = new_figure(8.2, 0.9 + 0.42 * len(kinds))
     axis = figure.subplots()
-    for joint, side in sides.items():
-        row = kinds.index(joint.removeprefix("left_").removeprefix("right_"))
+    labelled: set[str] = set()
+    for torque in use.joints:
+        side = _side(torque.joint)
+        row = kinds.index(torque.joint.removeprefix("left_").removeprefix("right_"))
         y = row + {"left": -0.19, "right": 0.19, "": 0.0}[side]
         colour = {"left": LEFT, "right": RIGHT, "": GREY}[side]
-        peak = group.mean_value(joint_metric("torque_peak_share", joint)) or 0.0
-        rms = group.mean_value(joint_metric("torque_rms_share", joint)) or 0.0
-        worst = everything.largest(joint_metric("torque_peak_share", joint)) or 0.0
-        first = side not in {_side(other) for other in JOINT_NAMES[: JOINT_NAMES.index(joint)]}
-        axis.barh(y, 100.0 * peak, height=0.34, color=colour, alpha=0.3, lw=0)
-        axis.barh(y, 100.0 * rms, height=0.34, color=colour, lw=0, label=(side or "middle") if first else None)
-        axis.plot(100.0 * worst, y, "d", color="black", ms=3.5)
+        label = None if side in labelled else side or "middle"
+        labelled.add(side)
+        axis.barh(y, 100.0 * torque.peak, height=0.34, color=colour, alpha=0.3, lw=0)
+        axis.barh(y, 100.0 * torque.rms, height=0.34, color=colour, lw=0, label=label)
+        axis.plot(100.0 * torque.largest, y, "d", color="black", ms=3.5)
     axis.plot([], [], "d", color="black", ms=3.5, ls="", label="largest peak of the whole suite")
     axis.axvline(100.0, color=RED, lw=1.2, ls="--")
     axis.text(100.0, -0.62, " limit", color=RED, fontsize=8, va="bottom")
     axis.set_yticks(range(len(kinds)), [kind.removesuffix("_joint").replace("_", " ") for kind in kinds])
     axis.set_ylim(len(kinds) - 0.4, -0.7)
     axis.set_xlim(0.0, 112.0)
-    finish(axis, f"torque, % of the joint's limit ({where}: solid RMS, pale peak of a trial, both means over trials)")
+    finish(
+        axis, f"torque, % of the joint's limit ({use.where}: solid RMS, pale peak of a trial, both means over trials)"
+    )
     figure.legend(fontsize=8, loc="outside lower center", ncols=4, frameon=False)
     return figure
 

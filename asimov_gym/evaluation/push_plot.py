@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from asimov_gym.evaluation.aggregate import PushRow, push_rows
+from asimov_gym.evaluation.aggregate import PushRow
+from asimov_gym.evaluation.plot_data import Pushes, pushes
 from asimov_gym.evaluation.plot_style import BLUE, GREEN, GREY, ORANGE, PINK, SKY, finish, new_figure
 from asimov_gym.evaluation.results import PushLimit, SuiteResult
 
@@ -26,12 +27,15 @@ VERTICAL = 0.7
 
 def push_map(result: SuiteResult, folder: Path) -> Figure | str:
     """Polar maps of horizontal pushes, standing and walking, and the vertical ones beside them."""
-    speeds = {info.id: max(abs(row[1]) for row in info.commands) for info in result.scenarios}
-    # Pushes without a tier are part of another test, or longer ones.
-    rows = [(row, speeds[row.scenario] > 0.0) for row in push_rows(result) if row.push.tier in _MARKERS]
-    limits = [(limit, limit.speed != 0.0) for limit in result.push_limits]
+    return draw_pushes(pushes(result)) or "the suite has no pushes"
+
+
+def draw_pushes(shown: Pushes) -> Figure | None:
+    """The map of pushes; None of none."""
+    rows = [(row, False) for row in shown.standing] + [(row, True) for row in shown.walking]
+    limits = [(limit, limit.speed != 0.0) for limit in shown.limits]
     if not rows and not limits:
-        return "the suite has no pushes"
+        return None
     bodies = sorted({row.push.body for row, _ in rows} | {limit.body for limit, _ in limits}, key=_height_order)
     colours = {body: _COLOURS[place % len(_COLOURS)] for place, body in enumerate(bodies)}
     states = [walks for walks in (False, True) if any(w == walks for _, w in (*rows, *limits))]

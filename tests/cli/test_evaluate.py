@@ -96,7 +96,7 @@ def test_suites_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     said = capsys.readouterr().out
     for name in ("smoke", "quick", "standard", "full", "vendor"):
         assert f"{name} " in said
-    assert "robot-hours and" in said
+    assert "robot-hours and" in said and " 0 robot" not in said and " 0.0 robot" not in said
 
 
 @pytest.mark.parametrize(
