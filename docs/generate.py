@@ -1,5 +1,5 @@
-"""Writes the pages of the docs that are made from the code: the state machine, every message, code and rule, and
-measured speeds.
+"""Writes the pages of the docs that are made from the code and from committed results: the state machine, every
+message, code and rule, the recipe, measured speeds, how good the shipped policy is.
 
 Usage: ``python docs/generate.py`` writes; ``python docs/generate.py --check`` only compares and exits with 1 when a
 page is out of date. Needs grpcio-tools, which reads the comments out of the ``.proto`` files.
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import ast
 import inspect
+import os
 import subprocess
 import sys
 import tempfile
@@ -29,7 +30,8 @@ from asimov_gym.firmware.modes import COLUMNS, HELD
 DOCS = Path(__file__).resolve().parent
 PROTO = DOCS.parent / "proto"
 sys.path.insert(0, str(DOCS))
-import recipe_page  # noqa: E402  (scripts beside this one)
+import how_good_page  # noqa: E402  (scripts beside this one)
+import recipe_page  # noqa: E402
 import throughput  # noqa: E402
 from state_diagram import svg  # noqa: E402
 
@@ -247,14 +249,16 @@ def motion_modes() -> str:
     return head + begin + table(["", *(mode.name for mode in MotionMode)], rows) + end + tail
 
 
-def pages() -> dict[str, str]:
-    """Every generated file by name."""
+def pages(shipped: how_good_page.Shipped) -> dict[str, str]:
+    """Every generated text by its path from here."""
     return {
         "interface.md": interface(),
         "motion_modes.md": motion_modes(),
         "state_machine.svg": svg(),
         "benchmarks.md": throughput.page(_HEADER),
         "recipe.md": recipe_page.page(table),
+        "how_good_is_it.md": how_good_page.page(shipped, table, _HEADER),
+        "../README.md": how_good_page.readme(shipped, table, (DOCS.parent / "README.md").read_text(encoding="utf-8")),
         "benchmarks.svg": throughput.svg(),
     }
 
@@ -264,15 +268,30 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--check", action="store_true", help="compare only; exit code 1 when a page is out of date")
     check = parser.parse_args().check
-    stale = [name for name, text in pages().items() if not _is_current(DOCS / name, text)]
+    try:
+        shipped = how_good_page.Shipped.load()
+        texts = pages(shipped)
+    except (ValueError, FileNotFoundError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    stale = [name for name, text in texts.items() if not _is_current(DOCS / name, text)]
+    pictures = {f"{how_good_page.FOLDER}/{one.name}.png": one for one in how_good_page.pictures(shipped)}
+    faded = [name for name, picture in pictures.items() if not picture.is_current(DOCS / name)]
     if check:
-        for name in stale:
-            print(f"docs/{name} is out of date: run python docs/generate.py", file=sys.stderr)
-        return 1 if stale else 0
+        for name in (*stale, *faded):
+            print(f"{_shown(name)} is out of date: run python docs/generate.py", file=sys.stderr)
+        return 1 if stale or faded else 0
     for name in stale:
-        (DOCS / name).write_text(pages()[name], encoding="utf-8")
-        print(f"wrote docs/{name}")
+        (DOCS / name).write_text(texts[name], encoding="utf-8")
+        print(f"wrote {_shown(name)}")
+    for name in faded:
+        pictures[name].save(DOCS / name)
+        print(f"wrote {_shown(name)}")
     return 0
+
+
+def _shown(name: str) -> str:
+    return os.path.normpath(f"docs/{name}")
 
 
 def _is_current(path: Path, text: str) -> bool:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from asimov_gym.evaluation.bars import judge
-from asimov_gym.evaluation.report import markdown, summary, tables
-from asimov_gym.evaluation.results import SuiteResult, plain
+from asimov_gym.evaluation.card import CardFigures
+from asimov_gym.evaluation.report import markdown, summary
+from asimov_gym.evaluation.results import SuiteResult
 from asimov_gym.policy import PolicyRunner
 from train.hardware import machine
 from train.run_folder import RunFolder
@@ -102,6 +99,7 @@ def write_card(
     path: Path,
     notes: str = "",
     earlier: Sequence[RunFolder] = (),
+    evaluation: Path | None = None,
 ) -> None:
     """Write `path` (Markdown), and beside it the curves (PNG and CSV) and the figures (JSON).
 
@@ -112,12 +110,13 @@ def write_card(
         path: the card.
         notes: what a reader should also know.
         earlier: the runs of the stages before, oldest first, for their curves.
+        evaluation: the result's run folder, for samples of the gait.
     """
     contract, config = policy.contract, folder.config()
     curves = joined_curves([*earlier, folder])
     plot_curves(curves, path.with_suffix(".curves.png"))
     save_curves(curves, path.with_suffix(".curves.csv"))
-    path.with_suffix(".json").write_text(json.dumps(card_figures(result), indent=1) + "\n", encoding="utf-8")
+    CardFigures.of(result, evaluation).save(path.with_suffix(".json"))
     stages = "\n".join(
         f"| {number} | `{stage['preset']}` | {stage['samples']:,} | {stage['seconds'] / 60:.0f} | `{stage['commit']}` |"
         for number, stage in enumerate(folder.history(), start=1)
@@ -168,17 +167,3 @@ def _how_it_was_made(folder: RunFolder) -> str:
     if recipe is not None:
         return f"Made by `{recipe}`, stage after stage."
     return "Each stage is `python -m train ppo --preset PRESET`, a later one with `--warm-start` and the run before it."
-
-
-def card_figures(result: SuiteResult) -> dict[str, Any]:
-    """What a result says, without its single trials: bars, tables and push limits as plain data."""
-    kept = ("suite", "suite_hash", "policy_name", "policy_hash", "machine", "versions", "started", "wall_clock_s")
-    return plain(
-        {
-            **{name: getattr(result, name) for name in kept},
-            "complete": result.complete,
-            "bars": [asdict(bar) for bar in judge(result)],
-            "tables": [asdict(table) for table in tables(result)],
-            "push_limits": [asdict(limit) for limit in result.push_limits],
-        }
-    )

@@ -175,7 +175,7 @@ def write_run_card(
         result = run.execute(show)
     page = write_report(result, place)
     card = policy_file.with_suffix(".md")
-    write_card(folder, policy, result, card, text, [RunFolder.open(run) for run in earlier])
+    write_card(folder, policy, result, card, text, [RunFolder.open(run) for run in earlier], place)
     _console.print(summary(result), highlight=False, markup=False)
     _console.print(f"report: {page}\ncard: {card}", highlight=False, markup=False)
     return 0

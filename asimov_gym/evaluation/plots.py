@@ -40,7 +40,9 @@ Draw = Callable[[SuiteResult, Path], "Figure | str"]
 
 
 @dataclass(frozen=True)
-class _Kind:
+class Kind:
+    """A kind of plot: its file's name, what it is called, what is seen, and how it is drawn."""
+
     name: str
     title: str
     caption: str
@@ -58,7 +60,7 @@ def draw_plots(result: SuiteResult, folder: Path) -> list[Plot]:
         One entry for each kind of plot, in the order of a report.
     """
     plots = []
-    for kind in _KINDS:
+    for kind in KINDS:
         drawn = kind.draw(result, folder)
         if isinstance(drawn, str):
             plots.append(Plot(kind.name, kind.title, kind.caption, None, drawn))
@@ -264,15 +266,15 @@ def _side(joint: str) -> str:
     return side if side in ("left", "right") else ""
 
 
-_KINDS: Sequence[_Kind] = (
-    _Kind(
+KINDS: Sequence[Kind] = (
+    Kind(
         "error_grid",
         "Velocity error over the command grid",
         "Error of the velocity averaged over a gait cycle after 2 s, mean of the repeats that did not fall. "
         "✕ counts falls; grey cells were not asked.",
         error_grid,
     ),
-    _Kind(
+    Kind(
         "pushes",
         "Pushes",
         "Left: horizontal pushes by direction, seen from above with the robot facing up; a mark lies on the side that "
@@ -280,26 +282,26 @@ _KINDS: Sequence[_Kind] = (
         "pushes of the benchmark, filled where every repeat passed. Right: vertical pushes.",
         push_map,
     ),
-    _Kind(
+    Kind(
         "gait",
         "Gait",
         "Bars: a foot carries. Pale: the gait clock asks it to carry. Lines: height of the soles.",
         gait_diagram,
     ),
-    _Kind(
+    Kind(
         "torque",
         "Joint torques",
         "Torque of each joint as a share of its limit.",
         torque_use,
     ),
-    _Kind(
+    Kind(
         "sweeps",
         "Survival against conditions",
         "Above: share of trials without a fall, with Wilson 95 % intervals. Below: velocity error over a gait cycle of "
         "those that did not fall, with bootstrap 95 % intervals.",
         sweeps,
     ),
-    _Kind(
+    Kind(
         "square",
         "100 m square",
         "Way of the pelvis (repeat 0), and the way that the commands add up to (dashed). The dotted line is the drift "

@@ -64,7 +64,7 @@ def _polar(axis: Any, reach: float, title: str) -> None:
     axis.set_theta_direction(1)
     axis.set_thetagrids(range(0, 360, 45), ["front", "", "left", "", "back", "", "right", ""], fontsize=8)
     axis.set_ylim(0.0, 1.08 * reach)
-    axis.set_rlabel_position(22.5)
+    axis.set_rlabel_position(112.5)
     axis.yaxis.set_major_formatter(lambda value, _: f"{value:g} N")
     axis.tick_params(axis="y", labelsize=7)
     axis.set_title(title, fontsize=10, pad=12)

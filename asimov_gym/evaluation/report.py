@@ -112,7 +112,7 @@ def _blocks(result: SuiteResult, plots: Sequence[Plot]) -> list[Block]:
         )
     blocks += [Heading("Tables"), *map(_fold, tables(result)), _fold(_scenario_table(result))]
     blocks += [Heading("Failed rows"), *_failed(result)]
-    blocks += [Heading("Conditions"), *_conditions(result.scenarios)]
+    blocks += [Heading("Conditions"), *conditions(result.scenarios)]
     blocks += [Heading("Policy, machine, versions"), _facts(result)]
     blocks += [Heading("How to get it again"), Code(command(result)), Text(_same(result))]
     return blocks
@@ -201,7 +201,7 @@ def _plain(value: Any) -> str:
 # -- conditions ------------------------------------------------------------------------------------
 
 
-def _conditions(scenarios: Sequence[ScenarioInfo]) -> list[Block]:
+def conditions(scenarios: Sequence[ScenarioInfo]) -> list[Table]:
     """What holds for most scenarios, and what each category changes."""
     names = list(dict.fromkeys(name for info in scenarios for name in info.conditions))
     usual = {
@@ -220,10 +220,7 @@ def _conditions(scenarios: Sequence[ScenarioInfo]) -> list[Block]:
         if any(found.values())
     )
     usually = Table("Usual", ("condition", "value"), tuple((n.replace("_", " "), v) for n, v in usual.items()))
-    blocks: list[Block] = [usually]
-    if rows:
-        blocks.append(Table("Changed by", ("category", "to"), rows))
-    return blocks
+    return [usually, Table("Changed by", ("category", "to"), rows)] if rows else [usually]
 
 
 # -- tables ----------------------------------------------------------------------------------------

@@ -1,0 +1,452 @@
+"""Makes the page "How good is it", its pictures and the table in the README from the card of the shipped policy."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from asimov_gym.assets import asset_path
+from asimov_gym.evaluation import tracking
+from asimov_gym.evaluation.bars import BarResult
+from asimov_gym.evaluation.card import CardFigures, OldCardError
+from asimov_gym.evaluation.plot_style import DPI
+from asimov_gym.evaluation.plots import KINDS, draw_error_grid, draw_torques
+from asimov_gym.evaluation.published import Published, published
+from asimov_gym.evaluation.published_comparison import (
+    BEHIND,
+    Comparison,
+    PushComparison,
+    compare_counts,
+    compare_figures,
+    compare_pushes,
+)
+from asimov_gym.evaluation.push_limits import PUSH_S
+from asimov_gym.evaluation.push_plot import draw_pushes
+from asimov_gym.evaluation.results import plain
+from asimov_gym.evaluation.rollout import DT
+from asimov_gym.evaluation.scenario import DELAY_STEP_MS, DELAYS, FALL_RULES, FOOT_FRICTION, scenario_of_row
+from asimov_gym.evaluation.suite import shipped_rows
+from asimov_gym.evaluation.table import MISSING, counted
+from asimov_gym.evaluation.trace_plots import draw_gaits
+
+FOLDER = "how_good"
+"""Of the pictures, beside the page."""
+SUITE = "standard"
+"""The suite that measures all that the page shows."""
+COMMAND = f"asimov eval --suite {SUITE} --out RUN_FOLDER"
+README_BARS = (
+    "survival, every command of the grid, 60 s, 20 seeds",
+    "velocity error over a gait cycle, grid",
+    "yaw rate error over a gait cycle, grid",
+    "standing: drift over 10 s",
+    "must-pass pushes, every row and repeat",
+    "stretch pushes",
+    "100 m square, heading held: drift",
+    "survival, friction 0.3–1.2",
+)
+"""Bars in the README, by name."""
+_BEGIN, _END = "<!-- how good: made by docs/generate.py -->\n", "<!-- end of how good -->\n"
+_FINGERPRINT = "asimov-data"
+"""Text chunk of a picture with the hash of what it shows."""
+Table = Callable[[Sequence[str], Iterable[Sequence[object]]], str]
+"""Writes a Markdown table from its header and rows."""
+
+
+@dataclass(frozen=True)
+class Shipped:
+    """A policy and its card."""
+
+    policy: Path
+    """ONNX file."""
+    card: CardFigures | None
+    why_not: str = ""
+    """Why there are no figures, where there are none."""
+
+    @classmethod
+    def load(cls, policy: Path | None = None) -> Shipped:
+        """The shipped policy, or another with its card beside it.
+
+        Raises:
+            FileNotFoundError: there is no card.
+            ValueError: the card cannot be read; names the file and what is wrong. One of an earlier version is no
+                error: the pages say so.
+        """
+        policy = policy or asset_path("policies", "asimov_walk.onnx")
+        try:
+            return cls(policy, CardFigures.load(policy.with_suffix(".json")))
+        except OldCardError as error:
+            return cls(policy, None, str(error))
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader of the figures must know first."""
+        if self.card is None:
+            return []
+        found = []
+        if self.card.suite != SUITE:
+            found.append(f"Measured by the suite `{self.card.suite}`, which lacks a part of what `{SUITE}` asks.")
+        if not self.card.complete:
+            found.append("The run was stopped before its end.")
+        if hashlib.sha256(self.policy.read_bytes()).hexdigest() != self.card.policy_hash:
+            found.append(f"Measured with another file than the `{self.policy.name}` that lies here.")
+        return found
+
+
+# -- pictures --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the page."""
+
+    name: str
+    """Of the file, without ending."""
+    data: Any
+    """All that it shows, as plain data."""
+    draw: Callable[[], Figure | None]
+    """None where there is nothing to show."""
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the data; a picture with another one is out of date."""
+        return hashlib.sha256(json.dumps(self.data, sort_keys=True).encode()).hexdigest()
+
+    def is_current(self, path: Path) -> bool:
+        """Whether a file shows these data. How they are drawn is not compared: remove the file to draw it anew."""
+        return path.is_file() and self.fingerprint.encode() in path.read_bytes()
+
+    def save(self, path: Path) -> None:
+        """Write the PNG file."""
+        figure = self.draw()
+        assert figure is not None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        FigureCanvasAgg(figure)
+        figure.savefig(path, dpi=DPI, metadata={_FINGERPRINT: self.fingerprint}, pil_kwargs={"optimize": True})
+
+
+def pictures(shipped: Shipped) -> list[Picture]:
+    """Those that the card has the figures for, in the order of the page."""
+    card = shipped.card
+    if card is None:
+        return []
+    grid = [one for one in card.scenarios if one.config == "grid" and one.trials]
+    has_pushes = bool(card.pushes.standing or card.pushes.walking or card.pushes.limits)
+    made = (
+        (len(grid) > 1, Picture("error_grid", _plain(grid), lambda: draw_error_grid(grid))),
+        (has_pushes, Picture("pushes", _plain(card.pushes), lambda: draw_pushes(card.pushes))),
+        (bool(card.gaits), Picture("gait", _plain(card.gaits), lambda: draw_gaits(card.gaits))),
+        (bool(card.torques.joints), Picture("torque", _plain(card.torques), lambda: draw_torques(card.torques))),
+    )
+    return [picture for there, picture in made if there]
+
+
+def _plain(data: Any) -> Any:
+    return plain([asdict(one) for one in data] if isinstance(data, list | tuple) else asdict(data))
+
+
+# -- the page --------------------------------------------------------------------------------------
+
+
+def page(shipped: Shipped, table: Table, header: str) -> str:
+    """`how_good_is_it.md`."""
+    if shipped.card is None:
+        return f"{header}\n# How good is it\n\n{_nothing_yet(shipped)}"
+    card, theirs = shipped.card, published()
+    pushes, others = compare_pushes(card, theirs), [*compare_counts(card, theirs), *compare_figures(card, theirs)]
+    shown = {picture.name for picture in pictures(shipped)}
+    parts = [
+        f"{header}\n# How good is it\n",
+        *(f"**{warning}**\n" for warning in shipped.warnings),
+        _what_is_measured(shipped, card),
+        _conditions(card, table),
+        "## The bars\n\n" + _prose(f"What a policy worth shipping must reach. {_tally(card.bars)}") + "\n",
+        _bars(card.bars, table),
+        *(_picture(kind.name, kind.title, kind.caption, kind.name in shown) for kind in KINDS if kind.name in _DRAWN),
+        _beside(card, theirs, pushes, others, table),
+        _worse(card.bars, pushes, others, table),
+        _LIMITS,
+    ]
+    return "\n".join(parts)
+
+
+_DRAWN = ("error_grid", "pushes", "gait", "torque")
+
+
+def readme(shipped: Shipped, table: Table, text: str) -> str:
+    """The README with its table as it is now.
+
+    Raises:
+        ValueError: it lacks one of the two comments around the table.
+    """
+    head, begin, rest = text.partition(_BEGIN)
+    _, end, tail = rest.partition(_END)
+    if not begin or not end:
+        raise ValueError(f"README.md must have the lines {_BEGIN.strip()!r} and {_END.strip()!r}")
+    return head + begin + _summary(shipped, table) + end + tail
+
+
+def _summary(shipped: Shipped, table: Table) -> str:
+    if shipped.card is None:
+        return _nothing_yet(shipped)
+    by_name = {bar.name: bar for bar in shipped.card.bars}
+    rows = [_bar_cells(by_name[name])[:4] for name in README_BARS if name in by_name]
+    words = _prose(_tally(shipped.card.bars) + _training(shipped.card))
+    warnings = "".join(f"**{warning}**\n\n" for warning in shipped.warnings)
+    return f"{warnings}{table(_BAR_COLUMNS[:4], rows)}\n{words}\n"
+
+
+def _nothing_yet(shipped: Shipped) -> str:
+    words = (
+        f"The shipped policy has not been measured by the suite `{SUITE}` yet ({shipped.why_not}). This measures it:"
+    )
+    return f"{_prose(words)}\n\n```sh\n{COMMAND}\n```\n"
+
+
+def _what_is_measured(shipped: Shipped, card: CardFigures) -> str:
+    trials, up = sum(one.trials for one in card.scenarios), sum(one.survived for one in card.scenarios)
+    rule, vendor = FALL_RULES["firmware"], FALL_RULES["vendor"]
+    measured = _prose(
+        f"""The shipped policy, `{shipped.policy.name}`, went through the suite `{card.suite}`: {len(card.scenarios)}
+        scenarios, {trials:,} trials, {up:,} of them without a fall. The suite also asks for what may not be possible:
+        ice, stairs, weak motors, pushes beyond what the robot's maker holds reasonable. All of it is simulation, under
+        the evaluation conditions: all bodies collide, elliptic friction cone, dry joint friction, soles with friction
+        {FOOT_FRICTION:g}, no rope; joint targets arrive late by {_delays()}. A robot has fallen when it is tilted by
+        more than {_tilt(rule.gravity_z):.0f}° or its pelvis is lower than {rule.height:g} m; the rows of the maker's
+        benchmark keep the maker's tilt, {_tilt(vendor.gravity_z):.1f}°. Errors are those after the first
+        {tracking.SETTLE_S:g} s; over a gait cycle means that the velocity is averaged over one. The seed of every trial
+        follows from the suite, so the same versions give the same figures:"""
+    )
+    where = _prose(
+        f"""Measured on {_machine(card.machine)} in {card.wall_clock_s / 60.0:.0f} minutes, {card.started[:10]}, with
+        {_versions(card)}; policy `{card.policy_hash[:12]}`, suite `{card.suite_hash[:12]}`.{_training(card)} This page
+        is made from the figures beside the policy, `{shipped.policy.stem}.json`; none of them is typed by hand."""
+    )
+    return f"{measured}\n\n```sh\n{COMMAND.replace(SUITE, card.suite)}\n```\n\n{where}\n"
+
+
+def _prose(text: str, indent: str = "") -> str:
+    """A paragraph in lines that are not too long; `indent` is that of all lines but the first."""
+    return textwrap.fill(
+        " ".join(text.split()), 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+
+
+def _delays() -> str:
+    return f"0 to {DELAY_STEP_MS * (DELAYS - 1):g} ms, by seed"
+
+
+def _tilt(gravity_z: float) -> float:
+    """Tilt at which the body-frame gravity has this z, degrees."""
+    return math.degrees(math.acos(-gravity_z))
+
+
+def _machine(machine: Mapping[str, Any]) -> str:
+    gpus = ", ".join(map(str, machine.get("gpus") or ())) or "no GPU"
+    return f"{machine.get('cpu', 'a machine')}, {counted(int(machine.get('cores', 1)), 'core')}, {gpus}"
+
+
+def _versions(card: CardFigures) -> str:
+    return ", ".join(f"{name} {version}" for name, version in card.versions.items())
+
+
+def _training(card: CardFigures) -> str:
+    """A sentence, with a space before it; nothing where the policy does not say."""
+    training = card.contract.get("training")
+    if not isinstance(training, Mapping):
+        return ""
+    stages = [*training.get("after", ()), training]
+    samples, seconds = (sum(float(stage.get(name, 0.0)) for stage in stages) for name in ("samples", "seconds"))
+    time = f"{seconds / 60.0:.0f} minutes" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} hours"
+    return f" Training took {time}: {samples / 1e6:.0f} million samples in {counted(len(stages), 'stage')}."
+
+
+def _conditions(card: CardFigures, table: Table) -> str:
+    tables = "\n".join(f"{one.title}:\n\n{table(one.columns, one.rows)}" for one in card.conditions)
+    return f"<details><summary>Every condition</summary>\n\n{tables}\n</details>\n"
+
+
+# -- bars ------------------------------------------------------------------------------------------
+
+_BAR_COLUMNS = ("measure", "bar", "ours", "", "measured on")
+
+
+def _bars(bars: Sequence[BarResult], table: Table) -> str:
+    return table(_BAR_COLUMNS, map(_bar_cells, bars))
+
+
+def _bar_cells(bar: BarResult) -> list[str]:
+    verdict = bar.verdict if bar.verdict == "met" else f"**{bar.verdict}**"
+    return [_bar_name(bar), bar.asked, bar.shown, verdict, bar.detail]
+
+
+def _bar_name(bar: BarResult) -> str:
+    return bar.name + (" (aim)" if bar.aim else "")
+
+
+def _tally(bars: Sequence[BarResult]) -> str:
+    met = sum(bar.verdict == "met" for bar in bars)
+    parts = [f"Bars met: {met} of {len(bars)}."]
+    for verdict in ("missed", "not measured"):
+        names = [_bar_name(bar) for bar in bars if bar.verdict == verdict]
+        parts += [f"{verdict.capitalize()}: {'; '.join(names)}."] if names else []
+    return " ".join(parts)
+
+
+def _picture(name: str, title: str, caption: str, there: bool) -> str:
+    if not there:
+        return f"## {title}\n\nThe card does not hold what this picture shows.\n"
+    return f"## {title}\n\n![{title}]({FOLDER}/{name}.png)\n\n{_prose(caption)}\n"
+
+
+# -- beside the maker's ----------------------------------------------------------------------------
+
+
+def _beside(
+    card: CardFigures,
+    theirs: Published,
+    pushes: Sequence[PushComparison],
+    others: Sequence[Comparison],
+    table: Table,
+) -> str:
+    documents = ", ".join(f"`{path}`" for path in theirs.documents.values())
+    firmware, vendor = FALL_RULES["firmware"], FALL_RULES["vendor"]
+    start = _prose(
+        f"""The robot's maker published figures of the walking policy that it released, `{theirs.policy}`
+        ([repository]({theirs.repository}): {documents}). Nobody ran that policy here; its figures stand as they were
+        reported. Both are simulations in MuJoCo, and the pushes and walks are the same rows, but the tests differ:"""
+    )
+    differences = (
+        """The maker's simulation has its own model of the robot, contact settings and gains; ours runs under the
+        conditions above.""",
+        f"""In the maker's sweeps the delay of the actions was drawn without a seed, and in policy ticks by mistake:
+        {_range(theirs.delay_ms)} ms, where {_range(theirs.trained_delay_ms)} ms were trained. Ours is {_delays()}.""",
+        f"""The maker raises the force until the robot falls; how many tries each force had is not stated. Ours is
+        bisected to {_resolution(card)}, every repeat has to be survived, and a robot beyond
+        {_tilt(firmware.gravity_z):.0f}° has fallen there, where the maker lets it go to {_tilt(vendor.gravity_z):.1f}°.
+        The two forces of the benchmark's row, under the maker's rule, count too; where no bisection was made, they are
+        all there is (*).""",
+    )
+    points = "\n".join(_prose(f"- {words}", "  ") for words in differences)
+    about_pushes = _prose(
+        f"""{PUSH_S:g} s each. Theirs: the first force that felled the robot in each of two sweeps; none to a force: nothing
+        up to it did, and more was not tried. Ours: the largest force that every repeat survived, and the smallest that
+        one did not. Must-pass and stretch are the benchmark's two forces for the place, with the repeats passed."""
+    )
+    circle = _prose(
+        f"""A robot that walks the circle without any error would score {_perfect_circle():.2f} m/s in its vx, were that
+        taken along an axis of the world instead of the robot's heading. The maker's figure for the velocity is near to
+        this, so the two are not ranked."""
+    )
+    figures = table(["measure", "the maker's", "ours", "ours is", "note"], map(_cells, others))
+    return (
+        f"## Beside the maker's policy\n\n{start}\n\n{points}\n\n### Pushes\n\n{about_pushes}\n\n"
+        f"{_push_table(pushes, table)}\n### Counts and walks\n\n{figures}\n{circle}\n"
+    )
+
+
+def _range(pair: tuple[float, float]) -> str:
+    return f"{pair[0]:g} to {pair[1]:g}"
+
+
+def _resolution(card: CardFigures) -> str:
+    """Of the bisection, with its repeats."""
+    found = {(limit.resolution_n, limit.repeats) for limit in card.pushes.limits}
+    shown = sorted(f"{newtons:g} N with {counted(repeats, 'repeat')}" for newtons, repeats in found)
+    return " or ".join(shown) or "nothing here"
+
+
+def _push_table(pushes: Sequence[PushComparison], table: Table) -> str:
+    columns = ["push", "while", "maker's: falls at, N", "ours: survives, N", "falls at, N", "must-pass", "stretch"]
+    return table(
+        [*columns, "ours is"],
+        [
+            [
+                push.where,
+                _while(push),
+                push.theirs,
+                _survived(push) + ("" if push.bisected else " *"),
+                push.ours,
+                _row(push.must_pass),
+                _row(push.stretch),
+                _verdict(push.verdict),
+            ]
+            for push in pushes
+        ],
+    )
+
+
+def _survived(push: PushComparison) -> str:
+    if push.survived is not None:
+        return f"{push.survived:g}"
+    return MISSING if push.felled is None else f"below {push.felled:g}"
+
+
+def _while(push: PushComparison) -> str:
+    return f"walking, {push.speed:g} m/s" if push.speed else "standing"
+
+
+def _row(row: Any) -> str:
+    return MISSING if row is None else f"{row.push.force:g} N: {row.outcomes.passed} of {row.outcomes.whole}"
+
+
+def _cells(one: Comparison) -> list[str]:
+    return [one.what, one.theirs, one.ours, _verdict(one.verdict), one.note]
+
+
+def _verdict(verdict: str) -> str:
+    return f"**{verdict}**" if verdict in BEHIND else verdict
+
+
+def _perfect_circle() -> float:
+    """RMS error of vx in the world frame, m/s, of a robot that does exactly what the circle's commands ask."""
+    command = scenario_of_row(shipped_rows()["locomotion/circle"], None, 1).command_rows()
+    _, heading = tracking.dead_reckoned_path(command, DT, np.zeros(2))
+    along_x = np.cos(heading) * command[:, 0] - np.sin(heading) * command[:, 1]
+    return float(np.sqrt(np.mean((along_x - command[:, 0]) ** 2)))
+
+
+# -- where ours is behind --------------------------------------------------------------------------
+
+
+def _worse(
+    bars: Sequence[BarResult], pushes: Sequence[PushComparison], others: Sequence[Comparison], table: Table
+) -> str:
+    rows = [[_bar_name(bar), bar.shown, f"bar: {bar.asked}", bar.detail] for bar in bars if bar.verdict == "missed"]
+    for push in pushes:
+        if push.verdict in BEHIND:
+            words = "" if push.verdict == "worse" else "behind one of the two sweeps"
+            name = f"push, {push.where}, {_while(push)}: first force that fells it"
+            rows.append([name, f"{push.ours} N", f"the maker's: {push.theirs} N", words])
+    rows += [[one.what, one.ours, f"the maker's: {one.theirs}", one.note] for one in others if one.verdict in BEHIND]
+    text = "Every measure above that misses its bar or is behind the maker's figure.\n\n"
+    body = text + table(["measure", "ours", "against", ""], rows) if rows else "No measure above is behind.\n"
+    unknown = [_bar_name(bar) for bar in bars if bar.verdict == "not measured"]
+    unknown += [f"push, {push.where}, {_while(push)}" for push in pushes if push.verdict == "not measured"]
+    unknown += [one.what for one in others if one.verdict == "not measured"]
+    if unknown:
+        body += "\n" + _prose(f"Not measured, so neither better nor worse: {'; '.join(unknown)}.") + "\n"
+    return f"## Where we are worse\n\n{body}"
+
+
+_LIMITS = """## What simulation does not tell
+
+- This policy has never run on hardware. The maker reports walks of its own policies on several robots.
+- The model: gear friction, play and bending of real joints are known only roughly. The suite varies payload, motor
+  strength, friction, delays and sensor noise, and nothing else of the robot.
+- Sensors: noise and offsets are drawn as in training; the drift of a real gyro and its filter is not simulated.
+- Heat and battery: torques are compared with the limits, but no trial lasts until a motor is hot or a cell empty.
+- Ground: slopes, steps and rough ground are hard. Carpet, grass and gravel give way.
+- Pushes act at the centre of a body and for a set time. A hand, a door or a wall does neither.
+
+[Taking it to the robot](taking_it_to_the_robot.md) has the order in which to find out.
+"""
