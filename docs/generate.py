@@ -31,6 +31,7 @@ DOCS = Path(__file__).resolve().parent
 PROTO = DOCS.parent / "proto"
 sys.path.insert(0, str(DOCS))
 import how_good_page  # noqa: E402  (scripts beside this one)
+import how_good_pictures  # noqa: E402
 import recipe_page  # noqa: E402
 import throughput  # noqa: E402
 from state_diagram import svg  # noqa: E402
@@ -275,7 +276,7 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     stale = [name for name, text in texts.items() if not _is_current(DOCS / name, text)]
-    pictures = {f"{how_good_page.FOLDER}/{one.name}.png": one for one in how_good_page.pictures(shipped)}
+    pictures = {f"{how_good_pictures.FOLDER}/{one.name}.png": one for one in how_good_pictures.pictures(shipped.card)}
     faded = [name for name, picture in pictures.items() if not picture.is_current(DOCS / name)]
     if check:
         for name in (*stale, *faded):

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from how_good_pictures import FOLDER, NAMES, pictures
 
 from asimov_gym.assets import asset_path
 from asimov_gym.evaluation import tracking
 from asimov_gym.evaluation.bars import BarResult
 from asimov_gym.evaluation.card import CardFigures, OldCardError
-from asimov_gym.evaluation.plot_style import DPI
-from asimov_gym.evaluation.plots import KINDS, draw_error_grid, draw_torques
+from asimov_gym.evaluation.plots import KINDS
 from asimov_gym.evaluation.published import Published, published
 from asimov_gym.evaluation.published_comparison import (
     BEHIND,
@@ -31,16 +28,11 @@ from asimov_gym.evaluation.published_comparison import (
     compare_pushes,
 )
 from asimov_gym.evaluation.push_limits import PUSH_S
-from asimov_gym.evaluation.push_plot import draw_pushes
-from asimov_gym.evaluation.results import plain
 from asimov_gym.evaluation.rollout import DT
 from asimov_gym.evaluation.scenario import DELAY_STEP_MS, DELAYS, FALL_RULES, FOOT_FRICTION, scenario_of_row
-from asimov_gym.evaluation.suite import shipped_rows
+from asimov_gym.evaluation.suite import load_suite, shipped_rows
 from asimov_gym.evaluation.table import MISSING, counted
-from asimov_gym.evaluation.trace_plots import draw_gaits
 
-FOLDER = "how_good"
-"""Of the pictures, beside the page."""
 SUITE = "standard"
 """The suite that measures all that the page shows."""
 COMMAND = f"asimov eval --suite {SUITE} --out RUN_FOLDER"
@@ -56,8 +48,6 @@ README_BARS = (
 )
 """Bars in the README, by name."""
 _BEGIN, _END = "<!-- how good: made by docs/generate.py -->\n", "<!-- end of how good -->\n"
-_FINGERPRINT = "asimov-data"
-"""Text chunk of a picture with the hash of what it shows."""
 Table = Callable[[Sequence[str], Iterable[Sequence[object]]], str]
 """Writes a Markdown table from its header and rows."""
 
@@ -95,63 +85,13 @@ class Shipped:
         found = []
         if self.card.suite != SUITE:
             found.append(f"Measured by the suite `{self.card.suite}`, which lacks a part of what `{SUITE}` asks.")
+        elif self.card.suite_hash != load_suite(SUITE).hash:
+            found.append(f"Measured by another form of the suite `{SUITE}` than the one that is here now.")
         if not self.card.complete:
             found.append("The run was stopped before its end.")
         if hashlib.sha256(self.policy.read_bytes()).hexdigest() != self.card.policy_hash:
             found.append(f"Measured with another file than the `{self.policy.name}` that lies here.")
         return found
-
-
-# -- pictures --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture of the page."""
-
-    name: str
-    """Of the file, without ending."""
-    data: Any
-    """All that it shows, as plain data."""
-    draw: Callable[[], Figure | None]
-    """None where there is nothing to show."""
-
-    @property
-    def fingerprint(self) -> str:
-        """Of the data; a picture with another one is out of date."""
-        return hashlib.sha256(json.dumps(self.data, sort_keys=True).encode()).hexdigest()
-
-    def is_current(self, path: Path) -> bool:
-        """Whether a file shows these data. How they are drawn is not compared: remove the file to draw it anew."""
-        return path.is_file() and self.fingerprint.encode() in path.read_bytes()
-
-    def save(self, path: Path) -> None:
-        """Write the PNG file."""
-        figure = self.draw()
-        assert figure is not None
-        path.parent.mkdir(parents=True, exist_ok=True)
-        FigureCanvasAgg(figure)
-        figure.savefig(path, dpi=DPI, metadata={_FINGERPRINT: self.fingerprint}, pil_kwargs={"optimize": True})
-
-
-def pictures(shipped: Shipped) -> list[Picture]:
-    """Those that the card has the figures for, in the order of the page."""
-    card = shipped.card
-    if card is None:
-        return []
-    grid = [one for one in card.scenarios if one.config == "grid" and one.trials]
-    has_pushes = bool(card.pushes.standing or card.pushes.walking or card.pushes.limits)
-    made = (
-        (len(grid) > 1, Picture("error_grid", _plain(grid), lambda: draw_error_grid(grid))),
-        (has_pushes, Picture("pushes", _plain(card.pushes), lambda: draw_pushes(card.pushes))),
-        (bool(card.gaits), Picture("gait", _plain(card.gaits), lambda: draw_gaits(card.gaits))),
-        (bool(card.torques.joints), Picture("torque", _plain(card.torques), lambda: draw_torques(card.torques))),
-    )
-    return [picture for there, picture in made if there]
-
-
-def _plain(data: Any) -> Any:
-    return plain([asdict(one) for one in data] if isinstance(data, list | tuple) else asdict(data))
 
 
 # -- the page --------------------------------------------------------------------------------------
@@ -163,7 +103,7 @@ def page(shipped: Shipped, table: Table, header: str) -> str:
         return f"{header}\n# How good is it\n\n{_nothing_yet(shipped)}"
     card, theirs = shipped.card, published()
     pushes, others = compare_pushes(card, theirs), [*compare_counts(card, theirs), *compare_figures(card, theirs)]
-    shown = {picture.name for picture in pictures(shipped)}
+    shown = {picture.name for picture in pictures(shipped.card)}
     parts = [
         f"{header}\n# How good is it\n",
         *(f"**{warning}**\n" for warning in shipped.warnings),
@@ -171,15 +111,12 @@ def page(shipped: Shipped, table: Table, header: str) -> str:
         _conditions(card, table),
         "## The bars\n\n" + _prose(f"What a policy worth shipping must reach. {_tally(card.bars)}") + "\n",
         _bars(card.bars, table),
-        *(_picture(kind.name, kind.title, kind.caption, kind.name in shown) for kind in KINDS if kind.name in _DRAWN),
+        *(_picture(kind.name, kind.title, kind.caption, kind.name in shown) for kind in KINDS if kind.name in NAMES),
         _beside(card, theirs, pushes, others, table),
         _worse(card.bars, pushes, others, table),
         _LIMITS,
     ]
     return "\n".join(parts)
-
-
-_DRAWN = ("error_grid", "pushes", "gait", "torque")
 
 
 def readme(shipped: Shipped, table: Table, text: str) -> str:
@@ -338,9 +275,10 @@ def _beside(
     )
     points = "\n".join(_prose(f"- {words}", "  ") for words in differences)
     about_pushes = _prose(
-        f"""{PUSH_S:g} s each. Theirs: the first force that felled the robot in each of two sweeps; none to a force: nothing
-        up to it did, and more was not tried. Ours: the largest force that every repeat survived, and the smallest that
-        one did not. Must-pass and stretch are the benchmark's two forces for the place, with the repeats passed."""
+        f"""{PUSH_S:g} s each. Theirs: the first force that felled the robot in each of two sweeps; none to a force:
+        nothing up to it did, and more was not tried. Ours: the largest force that every repeat survived, and the
+        smallest that some repeat did not. Must-pass and stretch are the benchmark's two forces for the place, with the
+        repeats passed."""
     )
     circle = _prose(
         f"""A robot that walks the circle without any error would score {_perfect_circle():.2f} m/s in its vx, were that
@@ -349,7 +287,7 @@ def _beside(
     )
     figures = table(["measure", "the maker's", "ours", "ours is", "note"], map(_cells, others))
     return (
-        f"## Beside the maker's policy\n\n{start}\n\n{points}\n\n### Pushes\n\n{about_pushes}\n\n"
+        f"## Beside the maker's policy\n\n{start}\n\n{points}\n\n### Push by push\n\n{about_pushes}\n\n"
         f"{_push_table(pushes, table)}\n### Counts and walks\n\n{figures}\n{circle}\n"
     )
 
@@ -388,7 +326,7 @@ def _push_table(pushes: Sequence[PushComparison], table: Table) -> str:
 def _survived(push: PushComparison) -> str:
     if push.survived is not None:
         return f"{push.survived:g}"
-    return MISSING if push.felled is None else f"below {push.felled:g}"
+    return f"below {push.felled:g}" if push.felled else MISSING
 
 
 def _while(push: PushComparison) -> str:

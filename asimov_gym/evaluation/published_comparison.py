@@ -206,8 +206,10 @@ def _figure(card: CardFigures, entry: PublishedFigure) -> Comparison:
     values = [_value(one, entry.metric) for one in found]
     value, base = values[0], values[1] if len(values) > 1 else 1.0
     verdict: Verdict
-    if value is None or not base:
+    if value is None or base is None:
         ours, verdict = _falls(found[0] if value is None else found[-1]), "worse"
+    elif base == 0.0:
+        ours, verdict = MISSING, "not measured"
     else:
         higher = entry.metric == SURVIVAL or metric(entry.metric).better == "higher"
         ours = _with_unit(_number(value / base, entry), entry)
