@@ -102,7 +102,6 @@ def track_mean_yaw_rate(m: Motion) -> Any:
 def capture(m: Motion) -> Any:
     """Bring the feet under where the pelvis is thrown: the point at which a walker must step to come to rest again
     (Pratt et al. 2006, Humanoids), as seen from the commanded velocity, should lie between them."""
-    xp = namespace(m.velocity)
     middle = 0.5 * (m.foot_offset[:, 0, 0:2] + m.foot_offset[:, 1, 0:2])
     point = (m.velocity[:, 0:2] - m.command[:, 0:2]) * _PENDULUM_S
     return 1.0 / (1.0 + squares(point - middle) / 0.0225)  # half of it at 15 cm; falls slowly, to lead from afar
