@@ -393,7 +393,7 @@ def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 def _rows(quantities: _Rows, which: np.ndarray) -> _Rows:
     """The rows of some copies in a dataclass of arrays."""
-    return replace(quantities, **{name: array[which] for name, array in vars(quantities).items()})
+    return type(quantities)(**{name: array[which] for name, array in vars(quantities).items()})
 
 
 def nominal_body(copies: int) -> BodyParameters:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -123,11 +123,11 @@ class Reading:
 
     def astype(self, dtype: Any) -> Reading:
         """The same reading in another floating type."""
-        return replace(self, **{f.name: getattr(self, f.name).astype(dtype) for f in fields(self)})
+        return Reading(**{name: array.astype(dtype) for name, array in vars(self).items()})
 
     def take(self, index: Any) -> Reading:
         """The reading of some of the copies."""
-        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return Reading(**{name: array[index] for name, array in vars(self).items()})
 
 
 @dataclass(frozen=True)
