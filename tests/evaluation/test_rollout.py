@@ -83,7 +83,7 @@ def test_commands_beyond_the_trained_range_are_clamped_unless_the_scenario_says_
 
 def test_heading_is_held_by_the_command(walker: PolicyRunner) -> None:
     """Pushed round, the robot comes back to the heading that its commands add up to; open loop it does not."""
-    twist = Push(1.0, 0.3, 1.0, (1.0, 0.0, 0.0), torque=(0.0, 0.0, 20.0))
+    twist = Push(1.0, 0.3, 1.0, (1.0, 0.0, 0.0), torque=(0.0, 0.0, 23.0))
     held = replace(FIXED, hold_heading=True)
     open_loop = trials(8.0, (0.4, 0.0, 0.0), pushes=(twist,), name="test/open")
     closed = trials(8.0, (0.4, 0.0, 0.0), pushes=(twist,), conditions=held, name="test/held")

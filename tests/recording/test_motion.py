@@ -10,6 +10,7 @@ import pytest
 from asimov_gym.assets import asset_path
 from asimov_gym.edge import EdgeListener, SimulatedRobot, connect
 from asimov_gym.recording import STATE, Recorder, read_recording
+from asimov_gym.recording import motion as motions
 from asimov_gym.recording.motion import reference_motion
 from asimov_gym.recording.odometry import estimate_motion
 from asimov_gym.recording.series import read_telemetry, read_velocity_commands
@@ -48,7 +49,7 @@ def walk(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Truth]:
     with Recorder(path, robot.edge, robot_state=True):
         session.stand()
         robot.advance(2.5)
-        session.velocity(0.5)
+        session.velocity(0.3)
         robot.advance(3.0)
         session.velocity(0.0, 0.0, 0.5)
         robot.advance(2.0)
@@ -90,17 +91,23 @@ def test_odometry_tells_velocity_and_height(walk: tuple[Path, Truth]) -> None:
 def test_velocity_commands_over_time(walk: tuple[Path, Truth]) -> None:
     commands = read_velocity_commands(walk[0])
     assert commands.time == pytest.approx([2.5, 5.5])
-    assert np.allclose(commands.velocity, [[0.5, 0.0, 0.0], [0.0, 0.0, 0.5]])
+    assert np.allclose(commands.velocity, [[0.3, 0.0, 0.0], [0.0, 0.0, 0.5]])
 
 
-def test_a_motion_follows_the_recorded_joints(walk: tuple[Path, Truth]) -> None:
+@pytest.mark.parametrize("narrower", [1.0, 0.3])
+def test_a_motion_follows_the_recorded_joints(
+    walk: tuple[Path, Truth], narrower: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Within the joints' ranges: with narrower ones the walk leans on them."""
     path, truth = walk
+    limits = RANGE.mean(axis=1, keepdims=True) + narrower * (RANGE - RANGE.mean(axis=1, keepdims=True))
+    monkeypatch.setattr(motions, "RANGE", limits)
     motion = reference_motion(path, 3.0, 5.0)
     assert motion.frames.shape[1] == 25 and motion.dt == DT
     recorded = np.array(truth.joints)[599:1000:4]  # the first message is a command at 0 s, the first sample at 5 ms
-    within = np.clip(recorded, RANGE[:, 0], RANGE[:, 1])
+    within = np.clip(recorded, limits[:, 0], limits[:, 1])
     assert np.abs(motion.frames[: len(recorded)] - within).max() < 1e-6
-    assert np.abs(within - recorded).max() > 1e-3, "the walk leans on a joint's limit, where a motion must not go"
+    assert narrower == 1.0 or np.abs(within - recorded).max() > 1e-3
     assert motion.duration >= 3.0, "two seconds, and one for the way back"
     assert (np.abs(motion.velocities) <= VELOCITY_LIMIT).all()
 
@@ -112,7 +119,7 @@ def test_a_motion_from_telemetry_at_10_hz_is_close(walk: tuple[Path, Truth], tmp
     with Recorder(tmp_path / "sparse.mcap", robot.edge):
         session.stand()
         robot.advance(2.5)
-        session.velocity(0.5)
+        session.velocity(0.3)
         robot.advance(2.0)
     assert len(read_telemetry(tmp_path / "sparse.mcap").time) == 45
     error = reference_motion(tmp_path / "sparse.mcap", 3.0, 4.0).frames - reference_motion(walk[0], 3.0, 4.0).frames

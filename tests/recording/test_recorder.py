@@ -46,7 +46,11 @@ class Events(EdgeListener):
 
 
 def test_every_command_is_there_with_its_verdict_and_sender(recording: Path) -> None:
-    told = [(c.client, c.source, c.kind, c.verdict, list(c.notes), c.dialect) for c in messages(recording, COMMANDS)]
+    posed = "POSITION_CLAMPED"  # where the walk took the joints depends on the policy
+    told = [
+        (c.client, c.source, c.kind, c.verdict, [note for note in c.notes if note != posed], c.dialect)
+        for c in messages(recording, COMMANDS)
+    ]
     assert told == [
         ("tester", "IN_PROCESS", "mode", "accepted", [], "cloud"),
         ("tester", "IN_PROCESS", "velocity", "accepted", [], "cloud"),
