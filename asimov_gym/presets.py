@@ -13,6 +13,8 @@ from typing import Any, TypeVar
 
 import yaml
 
+from asimov_gym.assets import config_path
+
 T = TypeVar("T")
 
 
@@ -68,6 +70,38 @@ def from_mapping(cls: type[T], data: Mapping[str, Any], where: str = "") -> T:
         return cls(**values)
     except TypeError as error:
         raise ValueError(f"{where or cls.__name__}: {error}") from error
+
+
+def shipped_names(folder: str) -> tuple[str, ...]:
+    """Names of the YAML files in a folder of `configs`."""
+    return tuple(sorted(path.stem for path in config_path(folder).glob("*.yaml")))
+
+
+def read_named(kind: str, folder: str, name: str | Path) -> tuple[Path, Any]:
+    """A shipped YAML file by its name, or any by its path: where it is, and what it holds as plain data.
+
+    Args:
+        kind: what it describes, for messages.
+        folder: of `configs`.
+        name: of a shipped file, or a path that ends in `.yaml` or `.yml`.
+
+    Raises:
+        ValueError: the name is unknown (lists the known ones), or the file is not YAML.
+        FileNotFoundError: there is no such file.
+    """
+    text, known = str(name), shipped_names(folder)
+    if text in known:
+        path = config_path(folder, f"{text}.yaml")
+    elif Path(text).suffix in (".yaml", ".yml"):
+        path = Path(text)
+    else:
+        raise ValueError(f"{kind} {text!r} is unknown; known {kind}s: {', '.join(known)}, or a .yaml file")
+    if not path.is_file():
+        raise FileNotFoundError(f"no {kind} file at {path}")
+    try:
+        return path, yaml.safe_load(path.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
 
 
 def load(cls: type[T], path: Path) -> T:

@@ -11,10 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from asimov_gym.assets import config_path
-from asimov_gym.presets import check_range, from_mapping, to_mapping
+from asimov_gym.presets import check_range, from_mapping, read_named, shipped_names, to_mapping
 from train.config import PpoConfig, load_preset
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
@@ -145,7 +142,7 @@ def laid_over(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]
 
 def recipe_names() -> list[str]:
     """Names of the shipped recipes."""
-    return sorted(path.stem for path in config_path("recipes").glob("*.yaml"))
+    return list(shipped_names("recipes"))
 
 
 def load_recipe(name: str | Path) -> Recipe:
@@ -156,19 +153,7 @@ def load_recipe(name: str | Path) -> Recipe:
             the value and what is allowed.
         FileNotFoundError: there is no such file.
     """
-    text = str(name)
-    if text in recipe_names():
-        path = config_path("recipes", f"{text}.yaml")
-    elif Path(text).suffix in (".yaml", ".yml"):
-        path = Path(text)
-    else:
-        raise ValueError(f"recipe {text!r} is unknown; known recipes: {', '.join(recipe_names())}, or a .yaml file")
-    if not path.is_file():
-        raise FileNotFoundError(f"no recipe file at {path}")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
+    path, data = read_named("recipe", "recipes", name)
     try:
         return from_mapping(Recipe, {"name": path.stem, **data} if isinstance(data, Mapping) else data)
     except ValueError as error:

@@ -24,14 +24,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from asimov_gym.assets import config_path
 from asimov_gym.evaluation.push_limits import PushLimitSearch
 from asimov_gym.evaluation.rows import AXES, Command, Row, read_rows
 from asimov_gym.evaluation.scenario import DRAWN, Conditions, Scenario, Trial, scenario_of_row
 from asimov_gym.evaluation.variants import variant_named
-from asimov_gym.presets import from_mapping
+from asimov_gym.presets import from_mapping, read_named, shipped_names
 
 PROTOCOL = 1
 """Counts changes of how suites are run, so that results from before and after one are not taken for the same."""
@@ -98,7 +96,7 @@ class Suite:
 
 def suite_names() -> tuple[str, ...]:
     """Suites that come with the package."""
-    return tuple(sorted(path.stem for path in config_path("suites").glob("*.yaml")))
+    return shipped_names("suites")
 
 
 def load_suite(name: str | Path) -> Suite:
@@ -109,19 +107,7 @@ def load_suite(name: str | Path) -> Suite:
             the value and what is allowed.
         FileNotFoundError: there is no such file.
     """
-    text = str(name)
-    if text in suite_names():
-        path = config_path("suites", f"{text}.yaml")
-    elif Path(text).suffix in (".yaml", ".yml"):
-        path = Path(text)
-    else:
-        raise ValueError(f"suite {text!r} is unknown; known suites: {', '.join(suite_names())}, or a .yaml file")
-    if not path.is_file():
-        raise FileNotFoundError(f"no suite file at {path}")
-    try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path} is not valid YAML: {error}") from error
+    path, data = read_named("suite", "suites", name)
     try:
         return parse_suite(data, path.stem)
     except ValueError as error:
