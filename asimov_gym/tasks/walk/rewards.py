@@ -14,7 +14,7 @@ import numpy as np
 
 from asimov_gym.physics import Reading
 from asimov_gym.robot.array_library import namespace
-from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
+from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION, VELOCITY_LIMIT
 
 CONTACT_FORCE = 5.0
 """A foot carries when the ground pushes it up with more than this, N."""
@@ -83,6 +83,20 @@ def track_yaw_rate(m: Motion) -> Any:
     xp = namespace(m.velocity)
     error = m.yaw_rate - m.command[:, 2]
     return xp.exp(-error * error / 0.25)
+
+
+def track_velocity_closely(m: Motion) -> Any:
+    """Follow the commanded planar velocity at every moment, sharply: no sway within a step."""
+    xp = namespace(m.velocity)
+    error = m.velocity[:, 0:2] - m.command[:, 0:2]
+    return xp.exp(-squares(error) / 0.02)
+
+
+def track_yaw_rate_closely(m: Motion) -> Any:
+    """Follow the commanded turning rate at every moment, sharply: no twist within a step."""
+    xp = namespace(m.velocity)
+    error = m.yaw_rate - m.command[:, 2]
+    return xp.exp(-error * error / 0.06)
 
 
 def track_mean_velocity(m: Motion) -> Any:
@@ -199,6 +213,14 @@ def joint_limit(m: Motion) -> Any:
     return xp.sum(xp.clip(reach, 0.0, None), axis=-1)
 
 
+def joint_speed(m: Motion) -> Any:
+    """How far joints are beyond 80 % of their speed limit, as a share of it, summed."""
+    xp = namespace(m.velocity)
+    v = m.reading.joint_velocity
+    share = xp.abs(v) / xp.asarray(VELOCITY_LIMIT, dtype=v.dtype)
+    return xp.sum(xp.clip(share - 0.8, 0.0, None), axis=-1)
+
+
 def feet_apart(m: Motion) -> Any:
     """How much closer than 0.16 m the feet are to each other sideways, in units of 5 cm."""
     xp = namespace(m.velocity)
@@ -232,6 +254,8 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
         for term in (
             track_velocity,
             track_yaw_rate,
+            track_velocity_closely,
+            track_yaw_rate_closely,
             track_mean_velocity,
             track_mean_yaw_rate,
             capture,
@@ -248,6 +272,7 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
             slip,
             flat_foot,
             joint_limit,
+            joint_speed,
             feet_apart,
             rest,
             rest_drift,
