@@ -21,6 +21,7 @@ from asimov_gym.robot.joints import POLICY_JOINT_NAMES
 from asimov_gym.robot.mirror import Mirror, mirror_policy
 from asimov_gym.robot.observation import ObservationLayout
 from train.config import LearnerConfig
+from train.handedness import hand, handed
 from train.weights import NORMALISER_EPSILON, VIEWS
 
 _UNIFORM = jax.nn.initializers.variance_scaling(1.0 / 3.0, "fan_in", "uniform")
@@ -48,9 +49,9 @@ def make_networks(config: LearnerConfig, actor_view: Mirror, critic_view: Mirror
         actor_view: mirror of the actor's observation, which also tells its width.
         critic_view: mirror of the critic's.
     """
-    symmetric, actions = config.symmetry == "network", len(POLICY_JOINT_NAMES)
-    actor = _Trunk(config, "actor", actor_view, actions, mirror_policy if symmetric else None, symmetric)
-    critic = _Trunk(config, "critic", critic_view, 1, None, symmetric)
+    actions = len(POLICY_JOINT_NAMES)
+    actor = _Trunk(config, "actor", actor_view, actions, mirror_policy)
+    critic = _Trunk(config, "critic", critic_view, 1, None)
 
     def start_actor(key: jax.Array) -> dict[str, Any]:
         log_std = jnp.full(actions, jnp.log(config.initial_std), dtype=jnp.float32)
@@ -88,9 +89,7 @@ def load_actor(
         kind, layer, *part = name.split(".")
         if kind == "actor" and part:
             layers.setdefault(layer, {})[part[0]] = array
-    symmetric = config.symmetry == "network"
-    output = mirror_policy if symmetric else None
-    actor = _Trunk(config, "actor", layout.mirror, len(POLICY_JOINT_NAMES), output, symmetric)
+    actor = _Trunk(config, "actor", layout.mirror, len(POLICY_JOINT_NAMES), mirror_policy)
     view = VIEWS["actor"]
     figures: dict[str, Any] = {f: {view: networks[f"normaliser.{f}.{view}"]} for f in ("mean", "std")}
     normaliser = NestedMeanStd(**figures)
@@ -104,7 +103,7 @@ def load_actor(
 
 def deviations(config: LearnerConfig, log_std: jax.Array) -> jax.Array:
     """Standard deviation of each action (23,); with symmetric networks a joint has that of its counterpart."""
-    if config.symmetry == "network":
+    if config.symmetric:
         log_std = 0.5 * (log_std + log_std[mirror_policy.indices])
     return jnp.exp(log_std)
 
@@ -118,14 +117,12 @@ class _Trunk:
         view: mirror of what it sees.
         outputs: how many values it answers.
         output: mirror of the answer; None where that stays as it is.
-        symmetric: whether to take the mean.
     """
 
-    def __init__(
-        self, config: LearnerConfig, name: str, view: Mirror, outputs: int, output: Mirror | None, symmetric: bool
-    ) -> None:
+    def __init__(self, config: LearnerConfig, name: str, view: Mirror, outputs: int, output: Mirror | None) -> None:
         self._layers = MLP((*config.hidden, outputs), activation=linen.elu, kernel_init=_UNIFORM)
-        self._name, self._view, self._symmetric = VIEWS[name], view, symmetric
+        self._name, self._view, self._symmetric = VIEWS[name], view, config.symmetric
+        self._hand = hand(view.size) if config.symmetry == "handed" else None
         self._output: Callable[[jax.Array], jax.Array] = output or (lambda answer: answer)
 
     def start(self, key: jax.Array) -> Any:
@@ -142,5 +139,7 @@ class _Trunk:
         seen = obs[self._name]
         if not self._symmetric:
             return answer(seen)
+        if self._hand is not None:
+            seen = handed(seen, jnp.asarray(self._hand))
         straight, reflected = answer(jnp.stack([seen, self._view(seen)]))
         return 0.5 * (straight + self._output(reflected))

@@ -11,6 +11,7 @@ from asimov_gym.assets import config_path
 from asimov_gym.physics import PROFILES
 from asimov_gym.physics.profile import ENGINES
 from asimov_gym.presets import check_interval, load
+from asimov_gym.robot.observation import observation_layout
 from asimov_gym.tasks.walk import WalkConfig
 
 LIBRARIES = ("brax", "rsl_rl")
@@ -44,7 +45,8 @@ class LearnerConfig:
     entropy: tuple[float, float] = (0.006, 0.001)
     """Entropy bonus before and after."""
     symmetry: str = "network"
-    """How left and right are taught alike: `network` (symmetric by construction), `samples` (mirrored ones), `none`."""
+    """How left and right are taught alike: `network` (symmetric by construction), `handed` (the same, but one side is the
+    stronger while it stands, see `train.handedness`), `samples` (mirrored ones), `none`."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "epochs", "minibatches"):
@@ -58,12 +60,17 @@ class LearnerConfig:
                 raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
         if self.warm_std is not None:
             check_interval("learner.warm_std", self.warm_std, 1e-3, 100.0)
-        if self.symmetry not in ("network", "samples", "none"):
-            raise ValueError(f"learner.symmetry must be network, samples or none, got {self.symmetry!r}")
+        if self.symmetry not in ("network", "handed", "samples", "none"):
+            raise ValueError(f"learner.symmetry must be network, handed, samples or none, got {self.symmetry!r}")
         if not self.hidden or min(self.hidden) < 1:
             raise ValueError(f"learner.hidden must hold positive widths, got {self.hidden}")
         if len(self.entropy_samples) != 2 or not 0 <= self.entropy_samples[0] < self.entropy_samples[1]:
             raise ValueError(f"learner.entropy_samples must be two ascending numbers, got {self.entropy_samples}")
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the networks are symmetric by construction, at least while walking."""
+        return self.symmetry in ("network", "handed")
 
     def entropy_at(self, samples: int) -> float:
         """Entropy bonus after so many samples."""
@@ -110,6 +117,8 @@ class PpoConfig:
             raise ValueError(
                 f"copies must be at least learner.minibatches = {self.learner.minibatches}, got {self.copies}"
             )
+        if self.learner.symmetry == "handed" and not observation_layout(self.walk.layout).has_clock:
+            raise ValueError(f"learner.symmetry handed needs a layout with a clock, got walk.layout {self.walk.layout!r}")
         if self.profile not in PROFILES:
             raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
         if self.device not in ("cpu", "cuda"):

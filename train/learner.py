@@ -57,13 +57,13 @@ def _model(config: LearnerConfig, view: Mirror, output: Mirror | None) -> dict[s
         "activation": "elu",
         "obs_normalization": True,
     }
-    if config.symmetry == "network":
-        settings |= {"class_name": SymmetricModel, "view": view, "output": output}
+    if config.symmetric:
+        settings |= {"class_name": SymmetricModel, "view": view, "output": output, "handed": config.symmetry == "handed"}
     return settings
 
 
 def _actor(config: LearnerConfig, view: Mirror) -> dict[str, Any]:
-    kind = SymmetricGaussian if config.symmetry == "network" else GaussianDistribution
+    kind = SymmetricGaussian if config.symmetric else GaussianDistribution
     exploration = {"class_name": kind, "init_std": config.initial_std, "std_type": "log"}
     return _model(config, view, mirror_policy) | {"distribution_cfg": exploration}
 

@@ -123,11 +123,10 @@ class Recipe:
 
 def _networks(config: PpoConfig) -> dict[str, Any]:
     """The settings that a network's shape follows from."""
-    symmetry = config.learner.symmetry
     return {
         "walk.layout": config.walk.layout,
         "learner.hidden": config.learner.hidden,
-        "learner.symmetry": symmetry if symmetry == "network" else "samples or none",
+        "learner.symmetry": "network or handed" if config.learner.symmetric else "samples or none",
     }
 
 

@@ -19,6 +19,7 @@ from tensordict import TensorDict
 from torch import nn
 
 from asimov_gym.robot.mirror import Mirror, mirror_policy
+from train.handedness import hand, handed
 
 
 class TorchMirror(nn.Module):
@@ -37,16 +38,36 @@ class TorchMirror(nn.Module):
         return rows.index_select(-1, self.indices) * self.signs
 
 
+class TorchHand(nn.Module):
+    """A hand for observations at rest, as a module."""
+
+    entries: torch.Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.register_buffer("entries", torch.as_tensor(hand(width)), persistent=False)
+
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return handed(rows, self.entries)
+
+
 class SymmetricNetwork(nn.Module):
-    """Mean of a network and its reflection: `(f(x) + M f(M x)) / 2`, the outer M being the output's mirror."""
+    """Mean of a network and its reflection: `(f(x) + M f(M x)) / 2`, the outer M being the output's mirror.
+
+    Args:
+        hand: what makes x of the observation; the identity keeps the network symmetric.
+    """
 
     is_recurrent = False
 
-    def __init__(self, normaliser: nn.Module, network: nn.Module, view: TorchMirror, output: nn.Module) -> None:
+    def __init__(
+        self, hand: nn.Module, normaliser: nn.Module, network: nn.Module, view: TorchMirror, output: nn.Module
+    ) -> None:
         super().__init__()
-        self.normaliser, self.network, self.view, self.output = normaliser, network, view, output
+        self.hand, self.normaliser, self.network, self.view, self.output = hand, normaliser, network, view, output
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        x = self.hand(x)
         both = self.network(self.normaliser(torch.cat([x, self.view(x)], dim=0)))
         half = x.shape[0]
         return 0.5 * (both[:half] + self.output(both[half:]))
@@ -58,10 +79,14 @@ class SymmetricModel(MLPModel):
     Args:
         view: mirror of the concatenated observation.
         output: mirror of the output; None where the mirror leaves it as it is (a value).
+        handed: whether it has a hand at rest; see `train.handedness`.
     """
 
-    def __init__(self, *args: Any, view: Mirror, output: Mirror | None, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, view: Mirror, output: Mirror | None, handed: bool = False, **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
+        self.hand = TorchHand(view.size) if handed else nn.Identity()
         self.view_mirror = TorchMirror(view)
         self.output_mirror = nn.Identity() if output is None else TorchMirror(output)
 
@@ -88,7 +113,7 @@ class SymmetricModel(MLPModel):
 
     def _symmetric(self) -> SymmetricNetwork:
         # Assembled on the fly, so that its parts stay registered under rsl-rl's own names.
-        return SymmetricNetwork(self.obs_normalizer, self.mlp, self.view_mirror, self.output_mirror)
+        return SymmetricNetwork(self.hand, self.obs_normalizer, self.mlp, self.view_mirror, self.output_mirror)
 
 
 class SymmetricGaussian(GaussianDistribution):

@@ -136,7 +136,7 @@ def test_a_checkpoint_of_other_settings_is_refused(run: RunFolder, tmp_path: Pat
     )
 
 
-@pytest.mark.parametrize("symmetry", ["network", "samples", "none"])
+@pytest.mark.parametrize("symmetry", ["network", "handed", "samples", "none"])
 def test_actor_and_critic_are_symmetric_exactly_where_that_is_asked(symmetry: str) -> None:
     ppo, (actor, critic), normaliser = _networks(LearnerConfig(hidden=(32, 16), symmetry=symmetry))
     rng = np.random.default_rng(1)
@@ -159,11 +159,11 @@ def test_actor_and_critic_are_symmetric_exactly_where_that_is_asked(symmetry: st
     if symmetry == "network":
         assert max(off) < 1e-6  # rounding of sums of order 1 in float32
         np.testing.assert_array_equal(std[:, mirror_policy.indices], std)
-    else:
+    else:  # a handed one is symmetric where the clock runs: see the test of weights
         assert min(off) > 0.01
 
 
-@pytest.mark.parametrize("symmetry", ["network", "none"])
+@pytest.mark.parametrize("symmetry", ["network", "handed", "none"])
 def test_weights_mean_the_same_in_both_learners(symmetry: str, tmp_path: Path) -> None:
     config = LearnerConfig(hidden=(32, 16), symmetry=symmetry)
     actor = load_actor(config, LAYOUT, _torch_weights(config))

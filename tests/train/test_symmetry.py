@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,10 @@ pytest.importorskip("rsl_rl", reason="the training extra is not installed: pip i
 from tensordict import TensorDict  # noqa: E402
 
 from asimov_gym.policy import default_contract, load_policy  # noqa: E402
+from asimov_gym.policy.network import read_network  # noqa: E402
 from asimov_gym.robot.mirror import mirror_policy  # noqa: E402
 from asimov_gym.robot.observation import observation_layout  # noqa: E402
+from asimov_gym.tasks.walk import WalkConfig  # noqa: E402
 from train.config import LearnerConfig, PpoConfig  # noqa: E402
 from train.export import export_onnx  # noqa: E402
 from train.learner import load_actor  # noqa: E402
@@ -77,6 +81,58 @@ def test_exported_network_is_symmetric_and_loads_from_a_checkpoint(trainer: Trai
     np.testing.assert_allclose(policy.infer(rows), _answer(trainer.ppo.get_policy(), "actor", rows), atol=1e-5)
 
 
+def _walking(rows: np.ndarray) -> np.ndarray:
+    """The rows with clocks that run."""
+    phase = np.linspace(0.0, 6.0, len(rows))
+    rows[:, LAYOUT.slices["clock"]] = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
+    return rows
+
+
+def _at_rest(rows: np.ndarray) -> np.ndarray:
+    rows[:, LAYOUT.slices["clock"]] = 0.0
+    return rows
+
+
+def test_a_handed_robot_has_a_stronger_side_while_it_stands_and_only_then(tmp_path: Path) -> None:
+    learner = LearnerConfig(steps=8, hidden=(32, 16), learning_rate=3e-3, symmetry="handed")
+    config = PpoConfig(copies=32, samples=10_000, threads=1, learner=learner)
+    trainer = Trainer(config, RunFolder.create(tmp_path, "handed", config))
+    for _ in range(3):
+        trainer.iterate()
+    trainer.save()
+    weights = trainer.folder.load_checkpoint()["learner"]["actor_state_dict"]
+    path = tmp_path / "policy.onnx"
+    assert export_onnx(load_actor(learner, LAYOUT, weights), default_contract(), path).difference < 1e-5
+    rng = np.random.default_rng(3)
+    walking, resting = (make(rng.standard_normal((20, LAYOUT.width))) for make in (_walking, _at_rest))
+    for act in (partial(_answer, trainer.ppo.get_policy(), "actor"), load_policy(path).infer, read_network(path).infer):
+        straight, mirrored = act(walking.astype(np.float32)), act(LAYOUT.mirror(walking).astype(np.float32))
+        np.testing.assert_allclose(mirrored, mirror_policy(straight), atol=1e-5)
+        straight, mirrored = act(resting.astype(np.float32)), act(LAYOUT.mirror(resting).astype(np.float32))
+        assert np.abs(mirrored - mirror_policy(straight)).max() > 1e-3
+    view = trainer.batch.task.privileged_mirror
+    for make, equal in ((_walking, True), (_at_rest, False)):
+        rows = make(rng.standard_normal((20, view.size)))
+        values = (_answer(trainer.ppo.critic, "critic", r) for r in (rows, view(rows)))
+        assert np.allclose(*values, atol=1e-6) is equal
+
+
+def test_a_policy_that_stands_symmetrically_can_go_on_handed(trainer: Trainer, tmp_path: Path) -> None:
+    trainer.save()
+    learner = replace(trainer.config.learner, symmetry="handed")
+    config = replace(trainer.config, learner=learner)
+    after = Trainer(config, RunFolder.create(tmp_path, "after", config))
+    after.warm_start(trainer.folder)
+    rows = _walking(np.random.default_rng(4).standard_normal((20, LAYOUT.width)))
+    before = _answer(trainer.ppo.get_policy(), "actor", rows)
+    np.testing.assert_allclose(_answer(after.ppo.get_policy(), "actor", rows), before, atol=1e-6)
+
+
+def test_a_hand_needs_a_clock() -> None:
+    with pytest.raises(ValueError, match=r"learner\.symmetry handed needs a layout with a clock.*'asimov-78'"):
+        PpoConfig(walk=WalkConfig(layout="asimov-78"), learner=LearnerConfig(symmetry="handed"))
+
+
 @pytest.mark.parametrize("symmetry", ["samples", "none"])
 def test_the_other_settings_train_and_export_too(symmetry: str, tmp_path: Path) -> None:
     config = PpoConfig(
@@ -91,5 +147,5 @@ def test_the_other_settings_train_and_export_too(symmetry: str, tmp_path: Path) 
 
 
 def test_unknown_symmetry_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"learner\.symmetry must be network, samples or none, got 'mirror'"):
+    with pytest.raises(ValueError, match=r"learner\.symmetry must be network, handed, samples or none, got 'mirror'"):
         LearnerConfig(symmetry="mirror")
