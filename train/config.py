@@ -45,8 +45,8 @@ class LearnerConfig:
     entropy: tuple[float, float] = (0.006, 0.001)
     """Entropy bonus before and after."""
     symmetry: str = "network"
-    """How left and right are taught alike: `network` (symmetric by construction), `handed` (the same, but one side is the
-    stronger while it stands, see `train.handedness`), `samples` (mirrored ones), `none`."""
+    """How left and right are taught alike: `network` (symmetric by construction), `handed` (the same, but one side is
+    the stronger while it stands, see `train.handedness`), `samples` (mirrored ones), `none`."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "epochs", "minibatches"):
@@ -118,7 +118,9 @@ class PpoConfig:
                 f"copies must be at least learner.minibatches = {self.learner.minibatches}, got {self.copies}"
             )
         if self.learner.symmetry == "handed" and not observation_layout(self.walk.layout).has_clock:
-            raise ValueError(f"learner.symmetry handed needs a layout with a clock, got walk.layout {self.walk.layout!r}")
+            raise ValueError(
+                f"learner.symmetry handed needs a layout with a clock, got walk.layout {self.walk.layout!r}"
+            )
         if self.profile not in PROFILES:
             raise ValueError(f"profile must be one of {', '.join(PROFILES)}, got {self.profile!r}")
         if self.device not in ("cpu", "cuda"):

@@ -1,8 +1,8 @@
 """A hand for robots that stand: what lets networks that are symmetric by construction break a tie.
 
-A symmetric network in a symmetric stance, pushed straight ahead, can only hop with both feet: whatever speaks for a step
-with the left foot speaks as much for the right one. While it walks, the gait clock breaks the tie; at rest the clock
-shows (0, 0), which is its own mirror image. `handed` puts a small constant there instead, whose mirror image is its
+A symmetric network in a symmetric stance, pushed straight ahead, can only hop with both feet: whatever speaks for a
+step with the left foot speaks as much for the right one. While it walks, the gait clock breaks the tie; at rest the
+clock shows (0, 0), which is its own mirror image. `handed` puts a constant there instead, whose mirror image is its
 negative, inside the network: file, contract and observation stay as they are. Walking is as symmetric as before.
 """
 

@@ -58,7 +58,12 @@ def _model(config: LearnerConfig, view: Mirror, output: Mirror | None) -> dict[s
         "obs_normalization": True,
     }
     if config.symmetric:
-        settings |= {"class_name": SymmetricModel, "view": view, "output": output, "handed": config.symmetry == "handed"}
+        settings |= {
+            "class_name": SymmetricModel,
+            "view": view,
+            "output": output,
+            "handed": config.symmetry == "handed",
+        }
     return settings
 
 

@@ -82,9 +82,7 @@ class SymmetricModel(MLPModel):
         handed: whether it has a hand at rest; see `train.handedness`.
     """
 
-    def __init__(
-        self, *args: Any, view: Mirror, output: Mirror | None, handed: bool = False, **kwargs: Any
-    ) -> None:
+    def __init__(self, *args: Any, view: Mirror, output: Mirror | None, handed: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.hand = TorchHand(view.size) if handed else nn.Identity()
         self.view_mirror = TorchMirror(view)

@@ -139,8 +139,11 @@ def masked_info(parts: Sequence[tuple[np.ndarray, Info]]) -> Info:
     """Infos in the form of Gymnasium's vector environments: beside each key, `_key` says which copies it speaks of.
 
     Args:
-        parts: pairs of a mask (N,) bool and the info of the copies in it; the masks do not overlap.
+        parts: pairs of a mask (N,) bool and the info of the copies in it; the masks do not overlap. What needs no
+            change is handed on, not copied.
     """
+    if len(parts) == 1 and parts[0][0].all():  # most steps: nothing to join, nothing to blank out
+        return _of_all(*parts[0])
     result: Info = {}
     for key in dict.fromkeys(key for _, info in parts for key in info):
         having = [(mask, info[key]) for mask, info in parts if key in info]
@@ -155,4 +158,13 @@ def masked_info(parts: Sequence[tuple[np.ndarray, Info]]) -> Info:
                 array[mask] = values[mask]
             result[key] = array
         result[f"_{key}"] = covered
+    return result
+
+
+def _of_all(everyone: np.ndarray, info: Info) -> Info:
+    """The info of all copies in the form of `masked_info`."""
+    result: Info = {}
+    for key, values in info.items():
+        result[key] = _of_all(everyone, values) if isinstance(values, Mapping) else values
+        result[f"_{key}"] = everyone.copy()
     return result

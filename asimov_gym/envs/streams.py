@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-AHEAD = 512
+AHEAD = 2048
 """Numbers that a stream draws at once: asking a generator for a thousand costs little more than asking for six."""
 
 
@@ -26,12 +27,12 @@ class CopyStreams:
         self._next = np.full(len(self._generators), AHEAD)
         """Place of each copy's next number in its row of `_drawn`."""
 
-    def draw(self, width: int, which: np.ndarray | None = None) -> np.ndarray:
+    def draw(self, width: int, copies: np.ndarray | None = None) -> np.ndarray:
         """Uniform numbers in [0, 1), float32.
 
         Args:
             width: how many for each copy, at most `AHEAD`.
-            which: mask of the copies that draw, (N,) bool; all when None.
+            copies: indices of the copies that draw; all when None.
 
         Returns:
             (n, width): a row for each copy that draws.
@@ -41,12 +42,12 @@ class CopyStreams:
         """
         if width > AHEAD:
             raise ValueError(f"width must be at most {AHEAD}, got {width}")
-        copies = np.arange(len(self._generators)) if which is None else np.flatnonzero(which)
+        copies = np.arange(len(self._generators)) if copies is None else copies
         for copy in copies[self._next[copies] + width > AHEAD]:
             self._refill(copy)
-        first = copies * AHEAD + self._next[copies]
+        first = self._next[copies]
         self._next[copies] += width
-        return self._drawn.take(first[:, None] + np.arange(width))  # places in the rows one after the other
+        return sliding_window_view(self._drawn, width, axis=1)[copies, first]
 
     def _refill(self, copy: int) -> None:
         row, used = self._drawn[copy], self._next[copy]

@@ -57,7 +57,9 @@ class TrajectoryBatch:
         self._streams = CopyStreams(seeds)
 
     def restart(self, which: np.ndarray, options: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], Info]:
-        joints, heading = self.task.initial_pose(self._streams.draw(START_DRAWS, which).astype(np.float64))
+        joints, heading = self.task.initial_pose(
+            self._streams.draw(START_DRAWS, np.flatnonzero(which)).astype(np.float64)
+        )
         count = len(joints)
         position, quat = np.zeros((count, 3)), np.zeros((count, 4))
         position[:, 2] = self._height

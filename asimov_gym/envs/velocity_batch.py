@@ -63,7 +63,7 @@ class VelocityBatch:
         self._streams = CopyStreams(seeds)
 
     def restart(self, which: np.ndarray, options: Mapping[str, Any]) -> tuple[np.ndarray, Info]:
-        draws = self._streams.draw(self.task.start_draws, which).astype(np.float64)
+        draws = self._streams.draw(self.task.start_draws, np.flatnonzero(which)).astype(np.float64)
         fresh, heading = self.task.initial_state(draws)
         qpos = np.tile(self._standing, (len(heading), 1))
         qpos[:, 3:7] = 0.0

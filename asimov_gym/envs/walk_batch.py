@@ -25,7 +25,7 @@ from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask
 from asimov_gym.tasks.walk import curriculum as levels
 from asimov_gym.tasks.walk.curriculum import Levels
-from asimov_gym.tasks.walk.state import KICK_DRAWS, SHOVE_DRAWS
+from asimov_gym.tasks.walk.state import SHOVE_DRAWS
 
 _ACTIONS = len(POLICY_JOINT_NAMES)
 _Rows = TypeVar("_Rows", WalkState, BodyParameters)
@@ -136,7 +136,6 @@ class WalkBatch:
         self.body = nominal_body(copies)
         self._body_drawn = np.zeros(copies, dtype=bool)
         self.state: WalkState
-        self.reading: Reading
         self.reset()
 
     def close(self) -> None:
@@ -156,12 +155,16 @@ class WalkBatch:
             self._streams = None
             self._body_drawn[:] = False
         self.state = self.task.initial_state(self._draw("state"))
-        self._start(np.ones(self.copies, dtype=bool))
+        self._start(np.arange(self.copies))
         if self.stagger:
             steps = self.rng.integers(0, self.task.episode_steps, self.copies)
             self.state = replace(self.state, step=steps)
-        self.reading = self.physics.read()
         return self._observe()
+
+    @property
+    def reading(self) -> Reading:
+        """The robots as they are now, float32."""
+        return self.physics.read()
 
     def seed_copies(self, seeds: Sequence[int]) -> None:
         """Give each copy a random stream of its own: from its next start on, copy i does what a batch of one does with
@@ -185,39 +188,37 @@ class WalkBatch:
         Returns:
             The actor's observation (N, width) and the critic's (N, privileged width); only the rows of `which` count.
         """
-        self._start(which)
+        copies = np.flatnonzero(which)
+        self._start(copies)
         if command is not None:
             fixed = which & np.isfinite(command).all(axis=1)
             self.state.command[fixed] = command[fixed]
             self.state.command_left[fixed] = _FOREVER
-        self.reading = self.physics.read()
-        rows = self._observe(which)
+        rows = self._observe(copies)
         observation, privileged = (np.zeros((self.copies, part.shape[1]), dtype=part.dtype) for part in rows)
-        observation[which], privileged[which] = rows
+        observation[copies], privileged[copies] = rows
         return observation, privileged
 
-    def _start(self, which: np.ndarray) -> None:
-        """Put copies into a fresh episode: physics, body figures and task state."""
-        count = int(which.sum())
-        joints, height, quat, velocity = self.task.initial_pose(self._draw("pose", which))
-        position = np.zeros((count, 3))
+    def _start(self, copies: np.ndarray) -> None:
+        """Put copies, by their indices, into a fresh episode: physics, body figures and task state."""
+        joints, height, quat, velocity = self.task.initial_pose(self._draw("pose", copies))
+        position = np.zeros((len(copies), 3))
         position[:, 2] = height
         if not self.task.terrain.is_flat:
-            position += self.task.place(self._draw("place", which))
-        qvel = np.zeros((count, self.physics.model.nv))
+            position += self.task.place(self._draw("place", copies))
+        qvel = np.zeros((len(copies), self.physics.model.nv))
         qvel[:, 0:6] = velocity
-        self.physics.reset(self.physics.configuration(joints, position, quat), qvel, copies=which)
-        fresh = self.task.initial_state(self._draw("state", which), self.randomise, self.noise)
-        for f in fields(WalkState):
-            getattr(self.state, f.name)[which] = getattr(fresh, f.name)
+        self.physics.reset(self.physics.configuration(joints, position, quat), qvel, copies)
+        fresh = self.task.initial_state(self._draw("state", copies), self.randomise, self.noise)
+        for name, rows in vars(fresh).items():
+            getattr(self.state, name)[copies] = rows
         if self.randomise:
-            redraw = which & (self._lucky(which) | ~self._body_drawn)
-            if redraw.any():
-                drawn = self.task.draw_body(self._draw("body", redraw))
-                for f in fields(BodyParameters):
-                    getattr(self.body, f.name)[redraw] = getattr(drawn, f.name)
-                self.physics.set_parameters(self.body, copies=redraw)
-                self._body_drawn |= redraw
+            redrawn = copies[self._lucky(copies) | ~self._body_drawn[copies]]
+            if redrawn.size:
+                for name, rows in vars(self.task.draw_body(self._draw("body", redrawn))).items():
+                    getattr(self.body, name)[redrawn] = rows
+                self.physics.set_parameters(self.body, redrawn)
+                self._body_drawn[redrawn] = True
 
     # -- stepping ------------------------------------------------------------------------------------------------------
 
@@ -246,22 +247,21 @@ class WalkBatch:
             state = self._kick(state)
             state = self._shove(state)
         target = JointTarget(self.task.targets(state))
-        self.reading = self.physics.step(target, DECIMATION, self._wrench(state))
+        reading = self.physics.step(target, DECIMATION, self._wrench(state))
         outcome = self.task.conclude(
-            state, self.reading, self.physics.diverged, self._draw("command"), self.curriculum.penalty
+            state, reading, self.physics.diverged, self._draw("command"), self.curriculum.penalty
         )
         self.state = outcome.state
         done = outcome.terminated | outcome.truncated
-        last_reading = self.reading
         observation, privileged = self._observe()
         final_observation = observation
         if done.any():
             self.curriculum = Curriculum.of(levels.after_episodes(self.curriculum.levels, self.state.step, done))
             if self.autoreset:
                 final_observation = observation.copy()
-                self._start(done)
-                self.reading = self.physics.read()
-                observation[done], privileged[done] = self._observe(done)
+                over = np.flatnonzero(done)
+                self._start(over)
+                observation[over], privileged[over] = self._observe(over)
         return WalkStep(
             observation=observation,
             privileged=privileged,
@@ -270,7 +270,7 @@ class WalkBatch:
             truncated=outcome.truncated,
             final_observation=final_observation,
             shares=dict(outcome.shares),
-            reading=last_reading,
+            reading=reading,
             clipped=int((clipped_action != wanted).sum()),
         )
 
@@ -281,21 +281,21 @@ class WalkBatch:
         self.state = replace(self.state, command=value, command_left=lifetime)
 
     def _kick(self, state: WalkState) -> WalkState:
-        due = state.kick_left <= 0
-        if not due.any():
+        due = np.flatnonzero(state.kick_left <= 0)
+        if not due.size:
             return state
-        draws = np.zeros((self.copies, KICK_DRAWS), dtype=np.float32)
-        draws[due] = self._draw("kick", due)
-        state, kick = self.task.kick(state, draws, self.curriculum.kick)
-        self.physics.kick(kick[due], copies=due)
-        return state
+        kick, wait = self.task.draw_kick(self._draw("kick", due), self.curriculum.kick)  # as `task.kick`, for few rows
+        self.physics.kick(kick, due)
+        left = state.kick_left.copy()
+        left[due] = wait
+        return replace(state, kick_left=left)
 
     def _shove(self, state: WalkState) -> WalkState:
         if not self.config.shove.bodies:
             return state
-        due = state.shove_wait <= 0
+        due = np.flatnonzero(state.shove_wait <= 0)
         draws = np.zeros((self.copies, SHOVE_DRAWS), dtype=np.float32)
-        if due.any():
+        if due.size:
             draws[due] = self._draw("shove", due)
         return self.task.shove(state, draws, self.curriculum.kick)
 
@@ -307,41 +307,33 @@ class WalkBatch:
         """Let the levels grow by one step if episodes last. The trainer calls it once per policy step."""
         self.curriculum = Curriculum.of(levels.grown(self.curriculum.levels, self.config.curriculum))
 
-    def _observe(self, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Both observations of all copies, or a row for each copy of the mask `which`."""
-        draws = self._draw("sensors", which) if self.noise else None
-        state, reading, body = self.state, self.reading, self.body
-        if which is not None:
-            state, reading, body = _rows(state, which), reading.take(which), _rows(body, which)
-        observation = self.task.observe(state, self._sensed(reading, which), draws)
-        return observation, self.task.privilege(state, reading, body)
+    def _observe(self, copies: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Both observations of all copies, or of those with these indices."""
+        draws = self._draw("sensors", copies) if self.noise else None
+        state, reading, body = self.state, self.physics.read(copies), self.body
+        if copies is not None:
+            state, body = _rows(state, copies), _rows(body, copies)
+        return self.task.views(state, reading, body, draws, self._sensed(reading, copies))
 
-    def _sensed(self, reading: Reading, which: np.ndarray | None) -> Reading:
-        """The reading as the motor bus delivers it; `which` as for `_observe`."""
+    def _sensed(self, reading: Reading, copies: np.ndarray | None) -> Reading | None:
+        """The reading as the motor bus delivers it, where that is another one; `copies` as for `_observe`."""
         if not self._aged:
-            return reading
-        trail = self.physics.joint_trail()[slice(None) if which is None else which]
-        return self.task.sensed(reading, trail.astype(np.float32), self._draw("bus", which))
+            return None
+        trail = self.physics.joint_trail()[slice(None) if copies is None else copies]
+        return self.task.sensed(reading, trail.astype(np.float32), self._draw("bus", copies))
 
-    def _draw(self, purpose: str, which: np.ndarray | None = None) -> np.ndarray:
-        """Uniform numbers for a purpose, a row for each copy of `which`."""
+    def _draw(self, purpose: str, copies: np.ndarray | None = None) -> np.ndarray:
+        """Uniform numbers for a purpose, a row for each of the copies with these indices, or for all."""
         if self._given is not None:
-            return np.asarray(self._given[purpose])[slice(None) if which is None else which]
+            return np.asarray(self._given[purpose])[slice(None) if copies is None else copies]
         width = self._widths[purpose]
         if self._streams is not None:
-            return self._streams.draw(width, which)
-        return self.rng.random((self.copies if which is None else int(which.sum()), width), dtype=np.float32)
+            return self._streams.draw(width, copies)
+        return self.rng.random((self.copies if copies is None else len(copies), width), dtype=np.float32)
 
-    def _lucky(self, which: np.ndarray) -> np.ndarray:
-        """Copies of `which` that get a new body, (N,) bool; other rows mean nothing."""
-        share = self.config.randomisation.redraw_share
-        if self._given is not None:
-            return np.asarray(self._given["redraw"])[:, 0] < share
-        if self._streams is None:
-            return self.rng.random(self.copies) < share
-        lucky = np.zeros(self.copies, dtype=bool)
-        lucky[which] = self._streams.draw(1, which)[:, 0] < share
-        return lucky
+    def _lucky(self, copies: np.ndarray) -> np.ndarray:
+        """Which of these copies get a new body, a bool for each."""
+        return self._draw("redraw", copies)[:, 0] < self.config.randomisation.redraw_share
 
     # -- checkpoints ---------------------------------------------------------------------------------------------------
 
@@ -373,7 +365,6 @@ class WalkBatch:
             self.physics.set_parameters(self.body, copies=self._body_drawn)
         self.curriculum = Curriculum(**snapshot["curriculum"])
         self.rng.bit_generator.state = snapshot["rng"]
-        self.reading = self.physics.read()
 
 
 def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -391,9 +382,9 @@ def check_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return array
 
 
-def _rows(quantities: _Rows, which: np.ndarray) -> _Rows:
+def _rows(quantities: _Rows, copies: np.ndarray) -> _Rows:
     """The rows of some copies in a dataclass of arrays."""
-    return type(quantities)(**{name: array[which] for name, array in vars(quantities).items()})
+    return type(quantities)(**{name: array[copies] for name, array in vars(quantities).items()})
 
 
 def nominal_body(copies: int) -> BodyParameters:

@@ -16,7 +16,7 @@ from mujoco import rollout
 from asimov_gym.physics.parameters import BodyParameters, ModelFigures
 from asimov_gym.physics.places import JointPlaces, SensorPlaces, as_places
 from asimov_gym.physics.profile import PhysicsProfile, physics_profile
-from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading, is_sound
+from asimov_gym.physics.quantities import JointTarget, PhysicsState, Reading, are_sound, is_sound
 from asimov_gym.robot.joints import JOINT_NAMES
 from asimov_gym.robot.model import robot_spec
 from asimov_gym.robot.terrain import Terrain
@@ -223,18 +223,24 @@ class CPhysics:
         self._contain_divergence(before, target, substeps)
         return self.read()
 
-    def read(self) -> Reading:
-        """The present reading. Its arrays are read-only, and the same ones until the state changes."""
+    def read(self, copies: np.ndarray | None = None) -> Reading:
+        """The present reading. Its arrays are read-only, and the same ones until the state changes.
+
+        Args:
+            copies: indices or mask of the copies to read; all when None.
+        """
+        if copies is not None:
+            return self._assemble(self._rows[copies], self._sensed[copies])
         if self._reading is None:
-            self._reading = self._assemble()
+            self._reading = self._assemble(self._rows, self._sensed)
         return self._reading
 
-    def _assemble(self) -> Reading:
-        rows, sensors = (part.astype(self._reading_type, copy=False) for part in (self._rows, self._sensed))
+    def _assemble(self, state: np.ndarray, sensed: np.ndarray) -> Reading:
+        rows, sensors = (part.astype(self._reading_type, copy=False) for part in (state, sensed))
         rows.flags.writeable = sensors.flags.writeable = False
-        self._lent = rows is self._rows
+        self._lent = self._lent or rows is self._rows
         qpos, qvel, places = rows[:, self._qpos], rows[:, self._qvel], self._sensors
-        feet = (self.copies, 2, 3)
+        feet = (len(rows), 2, 3)
         reading = Reading.assemble(
             qpos,
             qvel,
@@ -330,10 +336,11 @@ class CPhysics:
     def _contain_divergence(self, before: PhysicsState | None, target: JointTarget, substeps: int) -> None:
         """Reset copies whose simulation blew up. The engine freezes such a copy, so its clock is behind."""
         rows = self._rows
-        sound = is_sound(rows[:, self._qpos], rows[:, self._qvel]) & (rows[:, 0] > self._due)
-        self.diverged = ~sound
-        if sound.all():
+        in_time = rows[:, 0] > self._due
+        if in_time.all() and are_sound(rows[:, self._qpos], rows[:, self._qvel]):  # sooner known of all than of each
+            self.diverged = np.zeros(self.copies, dtype=bool)
             return
+        self.diverged = ~(is_sound(rows[:, self._qpos], rows[:, self._qvel]) & in_time)
         bad = np.flatnonzero(self.diverged)
         self.divergences += len(bad)
         if before is not None and self._dump_dir is not None:

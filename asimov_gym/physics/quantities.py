@@ -22,6 +22,11 @@ def is_sound(qpos: Any, qvel: Any) -> Any:
     return slow & xp.all(xp.isfinite(qpos), axis=1)
 
 
+def are_sound(qpos: np.ndarray, qvel: np.ndarray) -> bool:
+    """Whether no copy's simulation has diverged; arguments as for `is_sound`."""
+    return bool(qvel.max() < SPEED_LIMIT and qvel.min() > -SPEED_LIMIT and np.isfinite(qpos).all())
+
+
 @dataclass(frozen=True)
 class JointTarget:
     """Command of the one control law, `torque = kp (position - q) + kd (velocity - q') + load`.
@@ -124,10 +129,6 @@ class Reading:
     def astype(self, dtype: Any) -> Reading:
         """The same reading in another floating type."""
         return Reading(**{name: array.astype(dtype) for name, array in vars(self).items()})
-
-    def take(self, index: Any) -> Reading:
-        """The reading of some of the copies."""
-        return Reading(**{name: array[index] for name, array in vars(self).items()})
 
 
 @dataclass(frozen=True)

@@ -103,12 +103,27 @@ class ObservationLayout:
     @cached_property
     def _order(self) -> np.ndarray:
         """Place of each entry of the vector in the raw quantities one after the other, joints in joint order."""
-        joints, n = np.concatenate([permutation(JOINT_NAMES, group) for group in CAN_GROUPS]), len(JOINT_NAMES)
+        joints, n = self.joint_order, len(JOINT_NAMES)
         head = self.slices["joint_position_0"].start
         tail = np.arange(self.slices["action"].start, self.width) + 2 * (n - len(joints))
         return np.concatenate([np.arange(head), head + joints, head + n + joints, tail])
 
-    def observe(
+    @cached_property
+    def joint_order(self) -> np.ndarray:
+        """Joint of each entry of the joint terms, which stand one after the other: positions, then speeds; (23,)."""
+        return np.concatenate([permutation(JOINT_NAMES, group) for group in CAN_GROUPS])
+
+    def observe(self, **quantities: Any) -> Any:
+        """The observation vector, (..., width), float32; the arguments are those of `scaled`."""
+        return self.bounded(self.scaled(**quantities))
+
+    def bounded(self, vector: Any) -> Any:
+        """A vector (..., width) within its bounds."""
+        xp = namespace(vector)
+        bounds = xp.asarray(self.bounds)
+        return within(xp, vector, -bounds, bounds)
+
+    def scaled(
         self,
         *,
         gyro: Any,
@@ -119,7 +134,7 @@ class ObservationLayout:
         action: Any,
         clock: Any,
     ) -> Any:
-        """The observation vector, (..., width), float32.
+        """The terms in order and scaled, but not yet within their bounds, (..., width), float32.
 
         Args:
             gyro: angular velocity in the body frame, (..., 3), rad/s.
@@ -136,9 +151,7 @@ class ObservationLayout:
         if self.has_clock:
             blocks.append(clock)
         raw = xp.astype(xp.concat(blocks, axis=-1), xp.float32)
-        vector = xp.take(raw, xp.asarray(self._order), axis=-1) * xp.asarray(self.scales)
-        bounds = xp.asarray(self.bounds)
-        return within(xp, vector, -bounds, bounds)
+        return xp.take(raw, xp.asarray(self._order), axis=-1) * xp.asarray(self.scales)
 
 
 def _terms(with_clock: bool) -> tuple[Term, ...]:

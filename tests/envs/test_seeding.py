@@ -50,7 +50,7 @@ def test_next_episode_differs(env_id, arguments):
 
 @pytest.mark.parametrize("extra", [{}, RESTLESS])
 def test_copy_of_a_batch_does_what_a_single_environment_does(extra):
-    check_copy("Asimov-Walk-v0", extra, steps=150, scale=1.0)
+    check_copy("Asimov-Walk-v0", extra, steps=250, scale=1.0)
 
 
 def test_copy_of_a_trajectory_batch_does_what_a_single_environment_does():

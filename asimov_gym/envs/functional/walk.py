@@ -144,15 +144,13 @@ class FunctionalWalk(FunctionalEnv):
 
     def observe(self, world: WalkWorld, draws: Draws) -> dict[str, Any]:
         reading = self.engine.read(world.simulation)
-        noise, sensed = draws["sensors"] if self._noise else None, reading
+        noise, sensed = draws["sensors"] if self._noise else None, None
         if self._noise and self.config.noise.can_slot_delay:
             trail = world.simulation.joint_trail
             assert trail is not None  # the engine was checked for it
             sensed = self.task.sensed(reading, trail[:, : self.task.trail], draws["bus"])
-        return {
-            "state": self.task.observe(world.task, sensed, noise),
-            "privileged_state": self.task.privilege(world.task, reading, world.body),
-        }
+        actor, critic = self.task.views(world.task, reading, world.body, noise, sensed)
+        return {"state": actor, "privileged_state": critic}
 
     def figures(self, world: WalkWorld) -> dict[str, Any]:
         return {"command": world.task.command}

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from asimov_gym.robot.joints import JOINT_NAMES
+from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk.shove import SHOVE_DRAWS
 
 _JOINTS = len(JOINT_NAMES)
 
-SENSOR_DRAWS = 3 + 3 + 2 * _JOINTS
-"""Uniform numbers per copy that `sense` needs."""
+SENSOR_DRAWS = 3 + 3 + 2 * len(POLICY_JOINT_NAMES)
+"""Uniform numbers per copy that `views` needs: one for each sensor in the observation, in its order."""
 COMMAND_DRAWS = 6
 """Uniform numbers per copy that `draw_command` needs."""
 KICK_DRAWS = 7

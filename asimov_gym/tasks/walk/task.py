@@ -309,30 +309,74 @@ class WalkTask:
         """
         return bus_age.aged(reading, trail, bus_age.slot_ages(draws))
 
+    def views(
+        self,
+        state: WalkState,
+        reading: Reading,
+        body: BodyParameters,
+        draws: Any | None = None,
+        sensed: Reading | None = None,
+    ) -> tuple[Any, Any]:
+        """What actor and critic see, (N, width) and (N, privileged_width).
+
+        Args:
+            state: of the task.
+            reading: of the robots.
+            body: their figures.
+            draws: for the noise of the actor's sensors, (N, SENSOR_DRAWS); none without.
+            sensed: the reading as it reaches the actor, where that is another one.
+        """
+        clean = self._clean(state, reading)
+        felt = clean if sensed is None else self._clean(state, sensed)
+        return self._felt(felt, state.joint_zero, draws), self._privileged(clean, state, reading, body)
+
     def observe(self, state: WalkState, reading: Reading, draws: Any | None = None) -> Any:
-        """The actor's observation, (N, width); noisy with draws (N, SENSOR_DRAWS), clean without."""
-        gyro, gravity = reading.gyro, reading.gravity
-        position, velocity = reading.joint_position + state.joint_zero, reading.joint_velocity
-        if draws is not None:
-            n, u = self.config.noise, 2.0 * draws - 1.0
-            gyro = gyro + n.gyro * u[:, 0:3]
-            gravity = gravity + n.gravity * u[:, 3:6]
-            position = position + n.joint_position * u[:, 6 : 6 + _JOINTS]
-            velocity = velocity + n.joint_velocity * u[:, 6 + _JOINTS :]
-        return self.layout.observe(
-            gyro=gyro,
-            gravity=gravity,
+        """What the actor sees alone, (N, width); as in `views`."""
+        return self._felt(self._clean(state, reading), state.joint_zero, draws)
+
+    def privilege(self, state: WalkState, reading: Reading, body: BodyParameters) -> Any:
+        """What the critic sees alone, (N, privileged_width): the clean actor view and what only a simulator knows."""
+        return self._privileged(self._clean(state, reading), state, reading, body)
+
+    def _clean(self, state: WalkState, reading: Reading) -> Any:
+        """The actor's observation from perfect sensors, scaled but not yet within its bounds, (N, width)."""
+        return self.layout.scaled(
+            gyro=reading.gyro,
+            gravity=reading.gravity,
             command=state.command,
-            joint_position=position,
-            joint_velocity=velocity,
+            joint_position=reading.joint_position,
+            joint_velocity=reading.joint_velocity,
             action=state.action[:, 0],
             clock=self.clock(state),
         )
 
-    def privilege(self, state: WalkState, reading: Reading, body: BodyParameters) -> Any:
-        """The critic's observation, (N, privileged_width): the clean actor view and what only a simulator knows."""
+    def _felt(self, clean: Any, joint_zero: Any, draws: Any | None) -> Any:
+        """A clean view with the faults of the sensors, within its bounds: encoder offsets, and noise where drawn."""
+        xp, n = namespace(clean), len(self.layout.joint_order)
+        joints, command = self.layout.slices["joint_position_0"].start, self.layout.slices["command"].start
+        position = clean[:, joints : joints + n] + xp.take(joint_zero, xp.asarray(self.layout.joint_order), axis=-1)
+        head, velocity = clean[:, :command], clean[:, joints + n : joints + 2 * n]
+        if draws is not None:
+            noise = (2.0 * draws - 1.0) * xp.asarray(self._noise, dtype=draws.dtype)
+            head, position = head + noise[:, :command], position + noise[:, command : command + n]
+            velocity = velocity + noise[:, command + n :]
+        parts = [head, clean[:, command:joints], position, velocity, clean[:, joints + 2 * n :]]
+        return self.layout.bounded(xp.astype(xp.concat(parts, axis=-1), xp.float32, copy=False))
+
+    @cached_property
+    def _noise(self) -> np.ndarray:
+        """Half-width of each sensor's noise as the observation scales it, (SENSOR_DRAWS,)."""
+        noise, scales, slices = self.config.noise, self.layout.scales, self.layout.slices
+        widths = {"gyro": noise.gyro, "gravity": noise.gravity}
+        for name in slices:
+            if name.startswith(("joint_position", "joint_velocity")):
+                widths[name] = vars(noise)[name.rpartition("_")[0]]
+        return np.concatenate([width * scales[slices[name]] for name, width in widths.items()])
+
+    def _privileged(self, clean: Any, state: WalkState, reading: Reading, body: BodyParameters) -> Any:
+        """The critic's observation around a clean view of the actor's."""
         xp = namespace(reading.gyro)
-        clean = self.observe(replace(state, joint_zero=xp.zeros_like(state.joint_zero)), reading)
+        clean = self.layout.bounded(clean)
         clean = clean if self.layout.has_clock else xp.concat([clean, self.clock(state)], axis=-1)
         truth = ground_truth(reading, self.terrain)
         assert body.foot_friction is not None and body.torso_mass is not None
