@@ -57,7 +57,7 @@ class PhysicsProfile:
 PROFILES = MappingProxyType(
     {
         "evaluation": PhysicsProfile("evaluation", True, 10.0, 5, 100, 50, bodies_collide=True, dry_friction=True),
-        "training": PhysicsProfile("training", False, 1.0, 0, 2, 4, bodies_collide=False, dry_friction=False),
+        "training": PhysicsProfile("training", False, 1.0, 0, 3, 4, bodies_collide=False, dry_friction=False),
     }
 )
 """`evaluation` judges; `training` is the fast form for learning and is about three times cheaper."""

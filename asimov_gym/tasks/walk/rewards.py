@@ -87,16 +87,14 @@ def track_yaw_rate(m: Motion) -> Any:
 
 def track_velocity_closely(m: Motion) -> Any:
     """Follow the commanded planar velocity at every moment, sharply: no sway within a step."""
-    xp = namespace(m.velocity)
     error = m.velocity[:, 0:2] - m.command[:, 0:2]
-    return xp.exp(-squares(error) / 0.02)
+    return 1.0 / (1.0 + squares(error) / 0.02)  # half of it at 14 cm/s; falls slowly, to lead from afar
 
 
 def track_yaw_rate_closely(m: Motion) -> Any:
     """Follow the commanded turning rate at every moment, sharply: no twist within a step."""
-    xp = namespace(m.velocity)
     error = m.yaw_rate - m.command[:, 2]
-    return xp.exp(-error * error / 0.06)
+    return 1.0 / (1.0 + error * error / 0.06)  # half of it at 0.24 rad/s
 
 
 def track_mean_velocity(m: Motion) -> Any:
