@@ -29,8 +29,8 @@ N, SUBSTEPS = 8, 4
 CONVERGED = PhysicsProfile(
     "converged", False, 1.0, 0, iterations=50, ls_iterations=50, bodies_collide=False, dry_friction=False
 )
-"""The training profile with a solver that runs to its end. With the two iterations of training the solution depends on
-where the solver starts: even C MuJoCo leaves its own path after some steps if the state is rounded to float32."""
+"""The training profile with a solver that runs to its end. With the three iterations of training the solution depends
+on where the solver starts: even C MuJoCo leaves its own path after some steps if the state is rounded to float32."""
 
 
 def bodies(n: int = N) -> BodyParameters:

@@ -11,7 +11,7 @@ from asimov_gym.envs.walk_batch import WalkBatch
 from asimov_gym.physics import Reading
 from asimov_gym.presets import from_mapping, to_mapping
 from asimov_gym.robot import frames, mirror
-from asimov_gym.robot.joints import JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION
+from asimov_gym.robot.joints import JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION, VELOCITY_LIMIT
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask, rewards
 from asimov_gym.tasks.walk import task as walk
 from asimov_gym.tasks.walk.state import COMMAND_DRAWS, POSE_DRAWS, RESET_DRAWS, SENSOR_DRAWS
@@ -150,6 +150,8 @@ def test_tracking_is_best_on_the_command() -> None:
     for term in (
         rewards.track_velocity,
         rewards.track_yaw_rate,
+        rewards.track_velocity_closely,
+        rewards.track_yaw_rate_closely,
         rewards.track_mean_velocity,
         rewards.track_mean_yaw_rate,
     ):
@@ -162,6 +164,23 @@ def test_tracking_is_best_on_the_command() -> None:
             )
             < 0.6
         ).all()
+
+
+def test_close_tracking_tells_a_sway_of_five_centimetres_per_second_from_one_of_ten() -> None:
+    """The wide terms hardly do: this is what they are for."""
+    _, motion = (task := WalkTask()).motion(*_random_motion(task))
+    on = replace(motion, velocity=np.concatenate([motion.command[:, :2], np.zeros((16, 1))], axis=1))
+    small, large = (replace(on, velocity=on.velocity + np.array([0.0, sway, 0.0])) for sway in (0.05, 0.1))
+    assert (rewards.track_velocity_closely(small) - rewards.track_velocity_closely(large) > 0.2).all()
+    assert (rewards.track_velocity(small) - rewards.track_velocity(large) < 0.05).all()
+
+
+def test_only_joints_near_their_speed_limit_cost_something() -> None:
+    _, motion = (task := WalkTask()).motion(*_random_motion(task))
+    speed = np.zeros((16, 25))
+    speed[:, 3], speed[:, 13], speed[:, 17] = 0.79 * VELOCITY_LIMIT[3], -0.9 * VELOCITY_LIMIT[13], VELOCITY_LIMIT[17]
+    fast = replace(motion, reading=replace(motion.reading, joint_velocity=speed))
+    np.testing.assert_allclose(rewards.joint_speed(fast), 0.1 + 0.2)
 
 
 def test_standing_still_does_not_earn_the_step_reward() -> None:
