@@ -1,5 +1,5 @@
 """Writes the pages of the docs that are made from the code and from committed results: the state machine, every
-message, code and rule, the recipe, measured speeds, how good the shipped policy is.
+message, code and rule, the recipe, what its ingredients are worth, measured speeds, how good the shipped policy is.
 
 Usage: ``python docs/generate.py`` writes; ``python docs/generate.py --check`` only compares and exits with 1 when a
 page is out of date. Needs grpcio-tools, which reads the comments out of the ``.proto`` files.
@@ -30,7 +30,9 @@ from asimov_gym.firmware.modes import COLUMNS, HELD
 DOCS = Path(__file__).resolve().parent
 PROTO = DOCS.parent / "proto"
 sys.path.insert(0, str(DOCS))
-import how_good_page  # noqa: E402  (scripts beside this one)
+import ablation_page  # noqa: E402  (scripts beside this one)
+import ablation_pictures  # noqa: E402
+import how_good_page  # noqa: E402
 import how_good_pictures  # noqa: E402
 import recipe_page  # noqa: E402
 import throughput  # noqa: E402
@@ -250,7 +252,7 @@ def motion_modes() -> str:
     return head + begin + table(["", *(mode.name for mode in MotionMode)], rows) + end + tail
 
 
-def pages(shipped: how_good_page.Shipped) -> dict[str, str]:
+def pages(shipped: how_good_page.Shipped, studies: ablation_page.Results) -> dict[str, str]:
     """Every generated text by its path from here."""
     return {
         "interface.md": interface(),
@@ -258,6 +260,7 @@ def pages(shipped: how_good_page.Shipped) -> dict[str, str]:
         "state_machine.svg": svg(),
         "benchmarks.md": throughput.page(_HEADER),
         "recipe.md": recipe_page.page(table),
+        "ablation.md": ablation_page.page(studies, table),
         "how_good_is_it.md": how_good_page.page(shipped, table, _HEADER),
         "../README.md": how_good_page.readme(shipped, table, (DOCS.parent / "README.md").read_text(encoding="utf-8")),
         "benchmarks.svg": throughput.svg(),
@@ -271,12 +274,14 @@ def main() -> int:
     check = parser.parse_args().check
     try:
         shipped = how_good_page.Shipped.load()
-        texts = pages(shipped)
+        studies = ablation_page.load_results(DOCS / ablation_pictures.FOLDER)
+        texts = pages(shipped, studies)
     except (ValueError, FileNotFoundError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     stale = [name for name, text in texts.items() if not _is_current(DOCS / name, text)]
     pictures = {f"{how_good_pictures.FOLDER}/{one.name}.png": one for one in how_good_pictures.pictures(shipped.card)}
+    pictures |= {f"{ablation_pictures.FOLDER}/{one.name}.png": one for one in ablation_pictures.pictures(studies)}
     faded = [name for name, picture in pictures.items() if not picture.is_current(DOCS / name)]
     if check:
         for name in (*stale, *faded):

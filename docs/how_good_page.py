@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from how_good_pictures import FOLDER, NAMES, pictures
+from markers import prose
 
 from asimov_gym.assets import asset_path
 from asimov_gym.evaluation import tracking
@@ -109,7 +109,7 @@ def page(shipped: Shipped, table: Table, header: str) -> str:
         *(f"**{warning}**\n" for warning in shipped.warnings),
         _what_is_measured(shipped, card),
         _conditions(card, table),
-        "## The bars\n\n" + _prose(f"What a policy worth shipping must reach. {_tally(card.bars)}") + "\n",
+        "## The bars\n\n" + prose(f"What a policy worth shipping must reach. {_tally(card.bars)}") + "\n",
         _bars(card.bars, table),
         *(_picture(kind.name, kind.title, kind.caption, kind.name in shown) for kind in KINDS if kind.name in NAMES),
         _beside(card, theirs, pushes, others, table),
@@ -137,7 +137,7 @@ def _summary(shipped: Shipped, table: Table) -> str:
         return _nothing_yet(shipped)
     by_name = {bar.name: bar for bar in shipped.card.bars}
     rows = [_bar_cells(by_name[name])[:4] for name in README_BARS if name in by_name]
-    words = _prose(_tally(shipped.card.bars) + _training(shipped.card))
+    words = prose(_tally(shipped.card.bars) + _training(shipped.card))
     warnings = "".join(f"**{warning}**\n\n" for warning in shipped.warnings)
     return f"{warnings}{table(_BAR_COLUMNS[:4], rows)}\n{words}\n"
 
@@ -146,13 +146,13 @@ def _nothing_yet(shipped: Shipped) -> str:
     words = (
         f"The shipped policy has not been measured by the suite `{SUITE}` yet ({shipped.why_not}). This measures it:"
     )
-    return f"{_prose(words)}\n\n```sh\n{COMMAND}\n```\n"
+    return f"{prose(words)}\n\n```sh\n{COMMAND}\n```\n"
 
 
 def _what_is_measured(shipped: Shipped, card: CardFigures) -> str:
     trials, up = sum(one.trials for one in card.scenarios), sum(one.survived for one in card.scenarios)
     rule, vendor = FALL_RULES["firmware"], FALL_RULES["vendor"]
-    measured = _prose(
+    measured = prose(
         f"""The shipped policy, `{shipped.policy.name}`, went through the suite `{card.suite}`: {len(card.scenarios)}
         scenarios, {trials:,} trials, {up:,} of them without a fall. The suite also asks for what may not be possible:
         ice, stairs, weak motors, pushes beyond what the robot's maker holds reasonable. All of it is simulation, under
@@ -163,19 +163,12 @@ def _what_is_measured(shipped: Shipped, card: CardFigures) -> str:
         {tracking.SETTLE_S:g} s; over a gait cycle means that the velocity is averaged over one. The seed of every trial
         follows from the suite, so the same versions give the same figures:"""
     )
-    where = _prose(
+    where = prose(
         f"""Measured on {_machine(card.machine)} in {card.wall_clock_s / 60.0:.0f} minutes, {card.started[:10]}, with
         {_versions(card)}; policy `{card.policy_hash[:12]}`, suite `{card.suite_hash[:12]}`.{_training(card)} This page
         is made from the figures beside the policy, `{shipped.policy.stem}.json`; none of them is typed by hand."""
     )
     return f"{measured}\n\n```sh\n{COMMAND.replace(SUITE, card.suite)}\n```\n\n{where}\n"
-
-
-def _prose(text: str, indent: str = "") -> str:
-    """A paragraph in lines that are not too long; `indent` is that of all lines but the first."""
-    return textwrap.fill(
-        " ".join(text.split()), 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
-    )
 
 
 def _delays() -> str:
@@ -242,7 +235,7 @@ def _tally(bars: Sequence[BarResult]) -> str:
 def _picture(name: str, title: str, caption: str, there: bool) -> str:
     if not there:
         return f"## {title}\n\nThe card does not hold what this picture shows.\n"
-    return f"## {title}\n\n![{title}]({FOLDER}/{name}.png)\n\n{_prose(caption)}\n"
+    return f"## {title}\n\n![{title}]({FOLDER}/{name}.png)\n\n{prose(caption)}\n"
 
 
 # -- beside the maker's ----------------------------------------------------------------------------
@@ -257,7 +250,7 @@ def _beside(
 ) -> str:
     documents = ", ".join(f"`{path}`" for path in theirs.documents.values())
     firmware, vendor = FALL_RULES["firmware"], FALL_RULES["vendor"]
-    start = _prose(
+    start = prose(
         f"""The robot's maker published figures of the walking policy that it released, `{theirs.policy}`
         ([repository]({theirs.repository}): {documents}). Nobody ran that policy here; its figures stand as they were
         reported. Both are simulations in MuJoCo, and the pushes and walks are the same rows, but the tests differ:"""
@@ -273,14 +266,14 @@ def _beside(
         The two forces of the benchmark's row, under the maker's rule, count too; where no bisection was made, they are
         all there is (*).""",
     )
-    points = "\n".join(_prose(f"- {words}", "  ") for words in differences)
-    about_pushes = _prose(
+    points = "\n".join(prose(f"- {words}", "  ") for words in differences)
+    about_pushes = prose(
         f"""{PUSH_S:g} s each. Theirs: the first force that felled the robot in each of two sweeps; none to a force:
         nothing up to it did, and more was not tried. Ours: the largest force that every repeat survived, and the
         smallest that some repeat did not. Must-pass and stretch are the benchmark's two forces for the place, with the
         repeats passed."""
     )
-    circle = _prose(
+    circle = prose(
         f"""A robot that walks the circle without any error would score {_perfect_circle():.2f} m/s in its vx, were that
         taken along an axis of the world instead of the robot's heading. The maker's figure for the velocity is near to
         this, so the two are not ranked."""
@@ -372,7 +365,7 @@ def _worse(
     unknown += [f"push, {push.where}, {_while(push)}" for push in pushes if push.verdict == "not measured"]
     unknown += [one.what for one in others if one.verdict == "not measured"]
     if unknown:
-        body += "\n" + _prose(f"Not measured, so neither better nor worse: {'; '.join(unknown)}.") + "\n"
+        body += "\n" + prose(f"Not measured, so neither better nor worse: {'; '.join(unknown)}.") + "\n"
     return f"## Where we are worse\n\n{body}"
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
+
+from markers import filled
 
 from asimov_gym.tasks.walk.rewards import TERMS
 from train.config import PpoConfig
@@ -50,7 +51,14 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("walk.command.single_axis_share", "share of commands with one velocity only"),
         Row("walk.episode_s", "length of an episode, s"),
         Row("walk.terrain", "ground"),
-        *_rewards("track_velocity", "track_yaw_rate", "track_mean_velocity", "track_mean_yaw_rate"),
+        *_rewards(
+            "track_velocity",
+            "track_yaw_rate",
+            "track_velocity_closely",
+            "track_yaw_rate_closely",
+            "track_mean_velocity",
+            "track_mean_yaw_rate",
+        ),
         Row("walk.mean_velocity_s", "time constant of that average, s"),
         *_rewards("alive", "tilt", "pose"),
     ),
@@ -95,7 +103,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("walk.action_scale", "joint target per unit of action, rad"),
         Row("walk.action_clip", "largest action"),
     ),
-    "torque": _rewards("effort", "joint_limit"),
+    "torque": _rewards("effort", "joint_limit", "joint_speed"),
     "pushes": (
         Row("walk.kick.interval_s", "a kick every, s"),
         Row("walk.kick.speed", "largest horizontal change of velocity, m/s", " → "),
@@ -142,18 +150,7 @@ def page(table: Table) -> str:
     blocks = {**BLOCKS, "others": _others(recipe.configs)}
     made = {name: _settings(table, rows, names, recipe.configs) for name, rows in blocks.items()}
     made["recipes"] = _recipes(table)
-    text = PAGE.read_text(encoding="utf-8")
-    marked = re.findall(r"<!-- (\w+): made by docs/generate\.py -->\n", text)
-    if sorted(marked) != sorted(made):
-        raise ValueError(f"{PAGE.name} has markers for {sorted(marked)}, its tables are {sorted(made)}")
-    for name, body in made.items():
-        begin, end = f"<!-- {name}: made by docs/generate.py -->\n", f"<!-- end of {name} -->\n"
-        head, _, rest = text.partition(begin)
-        _, found, tail = rest.partition(end)
-        if not found:
-            raise ValueError(f"{PAGE.name} lacks the line {end.strip()!r}")
-        text = head + begin + body + end + tail
-    return text
+    return filled(PAGE, made)
 
 
 def _others(configs: Sequence[PpoConfig]) -> tuple[Row, ...]:
@@ -172,13 +169,21 @@ def _recipes(table: Table) -> str:
         for stage, config in zip(recipe.stages, recipe.configs, strict=True):
             first = f"`{recipe.name}`" if stage is recipe.stages[0] else ""
             rows.append(
-                [first, stage.name, f"`{stage.preset}`", _millions(stage.samples), config.copies, _time(config)]
+                [
+                    first,
+                    stage.name,
+                    f"`{stage.preset}`",
+                    millions(stage.samples),
+                    config.copies,
+                    time_on_two_cores(config),
+                ]
             )
-        rows.append(["", "**together**", "", _millions(recipe.samples), "", _time(*recipe.configs)])
+        rows.append(["", "**together**", "", millions(recipe.samples), "", time_on_two_cores(*recipe.configs)])
     return table(["recipe", "stage", "preset", "samples", "robots", "two cores"], rows)
 
 
-def _time(*configs: PpoConfig) -> str:
+def time_on_two_cores(*configs: PpoConfig) -> str:
+    """How long trainings take, one after the other, in words."""
     if any(config.physics != "c" for config in configs):
         return "for a GPU; not measured"
     hours = [sum(config.samples for config in configs) / speed / 3600.0 for speed in reversed(SPEED)]
@@ -232,8 +237,9 @@ def _words(row: Row, value: Any) -> str:
 
 
 def _number(value: float) -> str:
-    return _millions(value) if abs(value) >= 1e5 else f"{value:g}"
+    return millions(value) if abs(value) >= 1e5 else f"{value:g}"
 
 
-def _millions(samples: float) -> str:
+def millions(samples: float) -> str:
+    """A number of samples, in short."""
     return f"{samples / 1e6:.3g}M" if samples >= 1e5 else f"{samples:,g}"

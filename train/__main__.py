@@ -1,4 +1,4 @@
-"""`python -m train ppo | recipe | resume | export | card`: make the MOVE/POLICY network."""
+"""`python -m train ppo | recipe | ablation | resume | export | card`: make the MOVE/POLICY network."""
 
 from __future__ import annotations
 
@@ -71,6 +71,25 @@ class RecipeFlags:
     """Suite to judge the result by: a name, or a YAML file."""
 
 
+@dataclass(frozen=True)
+class AblationFlags:
+    """Find out what each ingredient is worth: train with everything, and again without one thing at a time, and judge
+    each by a suite. The same command goes on where it stopped. Without a name the studies are listed."""
+
+    name: tyro.conf.Positional[str | None] = None
+    """Study: a name, or a YAML file."""
+    runs: Path = Path("runs")
+    """Folder that holds the runs; those of the study, and its result, are in one of its name."""
+    only: tuple[str, ...] = ()
+    """Variants to train; all of them when omitted. `all` is the one with everything."""
+    warm_start: Path | None = None
+    """Run whose networks all trainings begin with, where the study asks for one."""
+    scale: float = 1.0
+    """Multiplies the samples of all trainings."""
+    keep: Path | None = None
+    """File that the result is written to as well, such as docs/ablations/NAME.json."""
+
+
 def _ppo(arguments: list[str]) -> int:
     """Train a walking policy with PPO."""
     from train.config import PpoConfig, load_preset, preset_names
@@ -141,19 +160,39 @@ def _recipe(arguments: list[str]) -> int:
     return RecipeRun(recipe, flags.runs, flags.scale, flags.suite, flags.name).execute()
 
 
-_COMMANDS = {"ppo": _ppo, "recipe": _recipe, "resume": _resume, "export": _export, "card": _card}
+def _ablation(arguments: list[str]) -> int:
+    from train.ablation import load_study, study_names
+
+    flags = tyro.cli(AblationFlags, args=arguments, prog="python -m train ablation")
+    if flags.name is None:
+        for study in map(load_study, study_names()):
+            start = ", --warm-start RUN" if study.warm_start else ""
+            print(f"{study.name}: {len(study.runs)} trainings of {study.samples / 1e6:.2f}M samples{start}")
+            print(f"  {study.about}")
+            for variant in study.all_variants:
+                print(f"    {variant.name:{max(len(v.name) for v in study.all_variants)}}  {variant.about}")
+        return 0
+    study = load_study(flags.name)
+    from train.ablation_run import AblationRun
+
+    run = AblationRun(study, flags.runs, flags.only, flags.warm_start, flags.scale, flags.keep, flags.name)
+    return run.execute()
+
+
+_COMMANDS = {"ppo": _ppo, "recipe": _recipe, "ablation": _ablation, "resume": _resume, "export": _export, "card": _card}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: python -m train {ppo,recipe,resume,export,card} [flags]\n")
-        print("  ppo     train a walking policy (see: python -m train ppo --help)")
-        print("  recipe  make a policy from nothing, in several stages (alone: lists the recipes)")
-        print("  resume  continue a run from its newest checkpoint")
-        print("  export  write a run's network as ONNX")
-        print("  card    evaluate a run's network and write its card")
+        print("usage: python -m train {ppo,recipe,ablation,resume,export,card} [flags]\n")
+        print("  ppo       train a walking policy (see: python -m train ppo --help)")
+        print("  recipe    make a policy from nothing, in several stages (alone: lists the recipes)")
+        print("  ablation  find out what each ingredient is worth (alone: lists the studies)")
+        print("  resume    continue a run from its newest checkpoint")
+        print("  export    write a run's network as ONNX")
+        print("  card      evaluate a run's network and write its card")
         return 0 if arguments else 2
     if arguments[0] not in _COMMANDS:
         print(f"unknown command {arguments[0]!r}; known commands: {', '.join(_COMMANDS)}", file=sys.stderr)

@@ -27,8 +27,8 @@ _LEARNERS = {None: "rsl-rl", "rsl_rl": "rsl-rl", "brax": "Brax"}
 _ENGINES = {None: "C physics", "c": "C physics", "mjx": "MJX (jax)", "warp": "MJX (warp)"}
 
 
-def read_curves(folder: RunFolder) -> dict[str, np.ndarray]:
-    """Samples and value of every curve on the card, (n, 2) each.
+def read_curves(folder: RunFolder, names: Sequence[str] = tuple(name for name, _ in CURVES)) -> dict[str, np.ndarray]:
+    """Samples and value of each round, (n, 2), of those of these curves that there are; by default those on the card.
 
     Raises:
         FileNotFoundError: the run has no curves.
@@ -42,7 +42,7 @@ def read_curves(folder: RunFolder) -> dict[str, np.ndarray]:
     known = set(events.Tags()["scalars"])
     return {
         name: np.array([(e.step, e.value) for e in events.Scalars(name)], dtype=float)
-        for name, _ in CURVES
+        for name in names
         if name in known
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import tyro
@@ -10,7 +10,7 @@ import tyro
 from asimov_gym.assets import config_path
 from asimov_gym.physics import PROFILES
 from asimov_gym.physics.profile import ENGINES
-from asimov_gym.presets import check_interval, load
+from asimov_gym.presets import check_interval, check_range, load
 from asimov_gym.robot.observation import observation_layout
 from asimov_gym.tasks.walk import WalkConfig
 
@@ -129,6 +129,18 @@ class PpoConfig:
             raise ValueError(f"checkpoint_s must be positive, got {self.checkpoint_s}")
         if self.keep_checkpoints < 1:
             raise ValueError(f"keep_checkpoints must be at least 1, got {self.keep_checkpoints}")
+
+    def scaled(self, factor: float) -> PpoConfig:
+        """The same with so many times the samples; the entropy bonus falls that much later.
+
+        Raises:
+            ValueError: the factor is out of range.
+        """
+        check_range("scale", factor, 1e-6, 1e3)
+        if factor == 1.0:
+            return self
+        learner = replace(self.learner, entropy_samples=tuple(n * factor for n in self.learner.entropy_samples))
+        return replace(self, samples=max(1, round(self.samples * factor)), learner=learner)
 
 
 def preset_names() -> list[str]:

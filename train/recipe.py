@@ -5,16 +5,17 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from asimov_gym.presets import check_range, from_mapping, read_named, shipped_names, to_mapping
-from train.config import PpoConfig, load_preset
+from asimov_gym.presets import from_mapping, read_named, shipped_names
+from train.config import PpoConfig
+from train.overrides import check_about, check_name, check_overrides, network_settings, overridden
 
-_NAME = re.compile(r"[a-z0-9][a-z0-9_-]*")
+_ELSEWHERE = {"samples": "every stage"}
+"""Settings that no overrides may hold."""
 MAX_STAGES = 99
 """Folders of stages are numbered with two digits."""
 
@@ -33,10 +34,10 @@ class Stage:
     """Settings that differ from the preset's, in the shape of a preset."""
 
     def __post_init__(self) -> None:
-        _check_name("stage name", self.name)
+        check_name("stage name", self.name)
         if self.samples < 1:
             raise ValueError(f"stage {self.name!r}: samples must be at least 1, got {self.samples}")
-        _check_overrides(f"stage {self.name!r}: overrides", self.overrides)
+        check_overrides(f"stage {self.name!r}: overrides", self.overrides, _ELSEWHERE)
 
 
 @dataclass(frozen=True)
@@ -54,21 +55,20 @@ class Recipe:
     """Whether it is meant for an NVIDIA GPU, and refused without one."""
 
     def __post_init__(self) -> None:
-        _check_name("name", self.name)
-        if not self.about.strip() or "\n" in self.about.strip():
-            raise ValueError(f"about must be one line of text, got {self.about!r}")
+        check_name("name", self.name)
+        check_about("about", self.about)
         if not 1 <= len(self.stages) <= MAX_STAGES:
             raise ValueError(f"stages must hold 1 to {MAX_STAGES} stages, got {len(self.stages)}")
         names = [stage.name for stage in self.stages]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"stages must have names of their own, got {', '.join(twice)} more than once")
-        _check_overrides("overrides", self.overrides)
+        check_overrides("overrides", self.overrides, _ELSEWHERE)
         self._check_warm_starts()
 
     def _check_warm_starts(self) -> None:
         """What is wrong with a later stage is said before the first is trained."""
-        first, *later = map(_networks, self.configs)
+        first, *later = map(network_settings, self.configs)
         for stage, networks in zip(self.stages[1:], later, strict=True):
             for where, wanted in first.items():
                 if networks[where] != wanted:
@@ -93,10 +93,7 @@ class Recipe:
 
     def _config(self, stage: Stage) -> PpoConfig:
         try:
-            settings = to_mapping(load_preset(stage.preset))
-            for overrides in (self.overrides, stage.overrides, {"samples": stage.samples}):
-                settings = laid_over(settings, overrides)
-            return from_mapping(PpoConfig, settings)
+            return overridden(stage.preset, self.overrides, stage.overrides, {"samples": stage.samples})
         except ValueError as error:
             raise ValueError(f"stage {stage.name!r}: {error}") from error
 
@@ -106,37 +103,7 @@ class Recipe:
         Raises:
             ValueError: the factor is out of range.
         """
-        check_range("scale", factor, 1e-6, 1e3)
-        if factor == 1.0:
-            return self.configs
-        return tuple(
-            replace(
-                config,
-                samples=max(1, round(config.samples * factor)),
-                learner=replace(
-                    config.learner, entropy_samples=tuple(n * factor for n in config.learner.entropy_samples)
-                ),
-            )
-            for config in self.configs
-        )
-
-
-def _networks(config: PpoConfig) -> dict[str, Any]:
-    """The settings that a network's shape follows from."""
-    return {
-        "walk.layout": config.walk.layout,
-        "learner.hidden": config.learner.hidden,
-        "learner.symmetry": "network or handed" if config.learner.symmetric else "samples or none",
-    }
-
-
-def laid_over(base: Mapping[str, Any], top: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of `top` over those of `base`; mappings are joined key by key, anything else is replaced."""
-    joined = dict(base)
-    for key, value in top.items():
-        below = joined.get(key)
-        joined[key] = laid_over(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
-    return joined
+        return tuple(config.scaled(factor) for config in self.configs)
 
 
 def recipe_names() -> list[str]:
@@ -157,15 +124,3 @@ def load_recipe(name: str | Path) -> Recipe:
         return from_mapping(Recipe, {"name": path.stem, **data} if isinstance(data, Mapping) else data)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-def _check_name(where: str, name: str) -> None:
-    if not _NAME.fullmatch(name):
-        raise ValueError(f"{where} must be lower-case letters, digits, - and _, got {name!r}")
-
-
-def _check_overrides(where: str, overrides: Any) -> None:
-    if not isinstance(overrides, Mapping):
-        raise ValueError(f"{where} must be a mapping, got {overrides!r}")
-    if "samples" in overrides:
-        raise ValueError(f"{where} must not hold samples, which every stage has, got {overrides['samples']!r}")

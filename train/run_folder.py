@@ -69,10 +69,10 @@ class RunFolder:
             config: settings.
             name: of the run; the preset's when None.
             parent: run whose networks this one starts with.
-            recipe: command of the recipe whose stage this run is; the folder is then `root/<name>`.
+            recipe: command of the recipe or study that this run is a part of; the folder is then `root/<name>`.
 
         Raises:
-            FileExistsError: the stage's folder is there.
+            FileExistsError: that folder is there.
         """
         path = root / (name or preset)
         if recipe is None:
@@ -110,7 +110,7 @@ class RunFolder:
 
     def origin(self) -> dict[str, Any]:
         """What the run was started from: `preset`, `commit`, `model_sha256`, `machine`, the command of the
-        `recipe` whose stage it is, and the stages `after` which it came."""
+        `recipe` or study that it is a part of, and the stages `after` which it came."""
         return json.loads((self.path / "origin.json").read_text(encoding="utf-8"))
 
     def samples(self) -> int:

@@ -11,9 +11,10 @@ from rich.progress import Progress, TaskID
 
 from asimov_gym.evaluation.journal import HEADER_FILE
 from asimov_gym.evaluation.report import summary, write_report
+from asimov_gym.evaluation.results import SuiteResult
 from asimov_gym.evaluation.runner import SuiteRun
-from asimov_gym.evaluation.suite import load_suite
-from asimov_gym.policy import load_policy
+from asimov_gym.evaluation.suite import Suite, load_suite
+from asimov_gym.policy import PolicyRunner, load_policy
 from asimov_gym.policy.contract import default_contract
 from asimov_gym.robot.observation import observation_layout
 from train.card import write_card
@@ -39,7 +40,7 @@ def start_run(
 ) -> int:
     """Train in a new run folder, from the networks of another run if one is given; returns the exit code.
 
-    `recipe` is the command of the recipe whose stage this is: see `RunFolder.create`.
+    `recipe` is the command of the recipe or study that this is a part of: see `RunFolder.create`.
     """
     parent = None if warm_start is None else RunFolder(warm_start)
     with Ranks.joined() as ranks:
@@ -150,19 +151,17 @@ def export_run(path: Path, output: Path | None) -> int:
     return 0
 
 
-def write_run_card(
-    path: Path, policy_file: Path | None, notes: Path | None, suite_name: str, earlier: Sequence[Path] = ()
-) -> int:
-    """Judge a run's exported policy by a suite and write its card beside the file; returns the exit code.
+def evaluation_place(folder: RunFolder, policy: PolicyRunner, suite: Suite) -> Path:
+    """Where the evaluation of a run's policy by a suite is."""
+    return folder.path / "evaluation" / f"{suite.name}_{suite.hash[:8]}_{policy.sha256[:8]}"
 
-    The evaluation stays in the run's folder: when it is stopped, the same call continues it.
+
+def evaluate_run(folder: RunFolder, policy: PolicyRunner, suite: Suite) -> tuple[SuiteResult, Path]:
+    """Judge a run's exported policy by a suite, in the run's folder; returns the result and its folder.
+
+    When it is stopped, the same call continues it; when it is finished, it says at once what came of it.
     """
-    folder = RunFolder.open(path)
-    suite = load_suite(suite_name)
-    policy_file = policy_file or folder.path / "policy.onnx"
-    policy = load_policy(policy_file)
-    text = notes.read_text(encoding="utf-8") if notes is not None else ""
-    place = folder.path / "evaluation" / f"{suite.name}_{suite.hash[:8]}_{policy.sha256[:8]}"
+    place = evaluation_place(folder, policy, suite)
     run = SuiteRun(policy, suite, place, resume=(place / HEADER_FILE).is_file())
     with Progress(console=_console, transient=True) as bar:
         tasks: dict[str, TaskID] = {}
@@ -172,7 +171,21 @@ def write_run_card(
                 tasks[stage] = bar.add_task(stage, total=whole)
             bar.update(tasks[stage], completed=done)
 
-        result = run.execute(show)
+        return run.execute(show), place
+
+
+def write_run_card(
+    path: Path, policy_file: Path | None, notes: Path | None, suite_name: str, earlier: Sequence[Path] = ()
+) -> int:
+    """Judge a run's exported policy by a suite and write its card beside the file; returns the exit code.
+
+    When it is stopped, the same call continues it.
+    """
+    folder = RunFolder.open(path)
+    policy_file = policy_file or folder.path / "policy.onnx"
+    policy = load_policy(policy_file)
+    text = notes.read_text(encoding="utf-8") if notes is not None else ""
+    result, place = evaluate_run(folder, policy, load_suite(suite_name))
     page = write_report(result, place)
     card = policy_file.with_suffix(".md")
     write_card(folder, policy, result, card, text, [RunFolder.open(run) for run in earlier], place)

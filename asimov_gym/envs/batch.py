@@ -161,7 +161,7 @@ def masked_info(parts: Sequence[tuple[np.ndarray, Info]]) -> Info:
     return result
 
 
-def _of_all(everyone: np.ndarray, info: Info) -> Info:
+def _of_all(everyone: np.ndarray, info: Mapping[str, Any]) -> Info:
     """The info of all copies in the form of `masked_info`."""
     result: Info = {}
     for key, values in info.items():

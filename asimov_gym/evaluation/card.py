@@ -115,11 +115,15 @@ class CardFigures:
             raise ValueError(f"{path}: {error}") from error
 
     def save(self, path: Path) -> None:
-        """Write it as JSON, lists and objects that hold no others on one line each."""
-        text = json.dumps(plain(asdict(self)), indent=1, allow_nan=False)
-        short = _INNERMOST.sub(lambda found: found[1] + re.sub(r"\n\s+", " ", found[2]) + found[3], text)
-        path.write_text(short + "\n", encoding="utf-8")
+        """Write it as JSON."""
+        path.write_text(short_json(plain(asdict(self))), encoding="utf-8")
 
     def scenario(self, name: str) -> ScenarioFigures | None:
         """A scenario by its id; None where the suite does not have it."""
         return next((one for one in self.scenarios if one.id == name), None)
+
+
+def short_json(data: Any) -> str:
+    """Plain data as JSON, lists and objects that hold no others on one line each."""
+    text = json.dumps(data, indent=1, allow_nan=False)
+    return _INNERMOST.sub(lambda found: found[1] + re.sub(r"\n\s+", " ", found[2]) + found[3], text) + "\n"

@@ -43,7 +43,7 @@ from train.recipe import load_recipe, recipe_names
         (changed("{seed: 2,", "{physics: d,"), "stage 'second': physics must be one of c, mjx, warp, got 'd'"),
         (changed("desired_kl: 0.02", "clip: -1"), "stage 'second': learner.clip must lie in (0, 100), got -1"),
         (changed("desired_kl: 0.02", "hidden: [8]"), "stage 'second': learner.hidden must be (32, 16) as in the first"),
-        (changed("desired_kl: 0.02", "symmetry: none"), "stage 'second': learner.symmetry must be network as in"),
+        (changed("desired_kl: 0.02", "symmetry: none"), "stage 'second': learner.symmetry must be network or handed"),
         (changed("{seed: 2, learner: {desired_kl: 0.02}}", "3"), "stage 'second': overrides must be a mapping, got 3"),
         (PAIR + "gpu: 1\n", "gpu must be true or false, got 1"),
         (PAIR + "name: a/b\n", "name must be lower-case letters, digits, - and _, got 'a/b'"),
