@@ -131,6 +131,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("learner.desired_kl", "KL divergence that it adapts to"),
         Row("learner.clip", "clip of the likelihood ratio"),
         Row("learner.initial_std", "exploration of a new network"),
+        Row("learner.averaged_rounds", "rounds whose weights are averaged for the file"),
         Row("learner.warm_std", "bounds of exploration after a warm start"),
     ),
 }

@@ -73,6 +73,9 @@ class BraxTrainer(TrainingLoop):
         now = self.learned_now
         return {"networks": named(_tree(now), value_here), "optimiser": named(now.optimiser, value_here)}
 
+    def actor_weights(self) -> NetworkWeights:
+        return NetworkWeights.from_brax(self.learned(), "actor")
+
     def own(self) -> dict[str, Any]:
         return {"state": named(self.state, rows_here)}
 

@@ -44,12 +44,14 @@ class LearnerConfig:
     """Samples between which the entropy bonus falls."""
     entropy: tuple[float, float] = (0.006, 0.001)
     """Entropy bonus before and after."""
+    averaged_rounds: int = 1
+    """The exported policy has the mean of the actor's weights over about so many last rounds: see `train.averaging`."""
     symmetry: str = "network"
     """How left and right are taught alike: `network` (symmetric by construction), `handed` (the same, but one side is
     the stronger while it stands, see `train.handedness`), `samples` (mirrored ones), `none`."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "epochs", "minibatches"):
+        for name in ("steps", "epochs", "minibatches", "averaged_rounds"):
             if getattr(self, name) < 1:
                 raise ValueError(f"learner.{name} must be at least 1, got {getattr(self, name)}")
         for name in ("gamma", "lam"):

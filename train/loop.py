@@ -18,10 +18,11 @@ from rich.console import Console
 from rich.table import Table
 from torch.utils.tensorboard import SummaryWriter
 
+from train.averaging import WeightAverage
 from train.config import PpoConfig
 from train.ranks import Ranks
 from train.run_folder import RunFolder
-from train.weights import with_exploration
+from train.weights import NetworkWeights, with_exploration
 
 
 @dataclass
@@ -73,6 +74,7 @@ class TrainingLoop(abc.ABC):
         # In a notebook too as plain lines.
         self.console = Console(soft_wrap=True, quiet=not self.ranks.first, highlight=False, force_jupyter=False)
         self.progress = Progress()
+        self.average = WeightAverage(config.learner.averaged_rounds)
 
     # -- a learner's part ----------------------------------------------------------------------------------------------
 
@@ -83,6 +85,10 @@ class TrainingLoop(abc.ABC):
     @abc.abstractmethod
     def learned(self) -> dict[str, Any]:
         """The part of a checkpoint that is the same on all ranks: networks, normaliser, optimiser, learning rate."""
+
+    @abc.abstractmethod
+    def actor_weights(self) -> NetworkWeights:
+        """The actor as it is now."""
 
     @abc.abstractmethod
     def own(self) -> dict[str, Any]:
@@ -128,6 +134,7 @@ class TrainingLoop(abc.ABC):
         state = self.ranks.from_first(common)
         own = self.ranks.handed_out(parts)
         self.progress = Progress(**state["progress"])
+        self.average.restore(state.get("average"))
         self.restore(state["learner"], own)
 
     def save(self) -> None:
@@ -135,6 +142,7 @@ class TrainingLoop(abc.ABC):
         parts = self.ranks.gathered(self.own())
         if parts is not None:
             state = {"learner": self.learned(), "progress": vars(self.progress), "ranks": parts}
+            state["average"] = self.average.snapshot()
             self.folder.save_checkpoint(self.progress.samples, state, self.config.keep_checkpoints)
 
     # -- the run -------------------------------------------------------------------------------------------------------
@@ -147,6 +155,8 @@ class TrainingLoop(abc.ABC):
         with Interrupt(self.console).listening() as interrupt:
             while self.progress.samples < self.config.samples and not stop:
                 figures = self.iterate()
+                if self.average.rounds > 1:
+                    self.average.add(self.actor_weights())
                 now = time.monotonic()
                 self.progress.seconds = before + now - started
                 rate = (self.progress.samples - first_samples) / (now - started)

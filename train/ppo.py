@@ -83,6 +83,9 @@ class Trainer(TrainingLoop):
     def learned(self) -> dict[str, Any]:
         return self.ppo.save()
 
+    def actor_weights(self) -> NetworkWeights:
+        return NetworkWeights.from_torch(self.ppo.actor.state_dict())
+
     def own(self) -> dict[str, Any]:
         device = self.ranks.device
         return {

@@ -17,6 +17,7 @@ from asimov_gym.evaluation.suite import Suite, load_suite
 from asimov_gym.policy import PolicyRunner, load_policy
 from asimov_gym.policy.contract import default_contract
 from asimov_gym.robot.observation import observation_layout
+from train.averaging import averaged
 from train.card import write_card
 from train.config import PpoConfig
 from train.export import export_onnx
@@ -135,13 +136,15 @@ def export_run(path: Path, output: Path | None) -> int:
         },
     )
     layout, learned, trained = observation_layout(walk.layout), state["learner"], None
+    mean = averaged(state.get("average"))
     if config.library == "brax":
         from train import brax_networks
 
-        trained = brax_networks.load_actor(config.learner, layout, learned["networks"])
-        weights = NetworkWeights.from_brax(learned, "actor").to_torch()
+        networks = learned["networks"] if mean is None else mean.to_brax("actor")
+        trained = brax_networks.load_actor(config.learner, layout, networks)
+        weights = (mean or NetworkWeights.from_brax(learned, "actor")).to_torch()
     else:
-        weights = learned["actor_state_dict"]
+        weights = learned["actor_state_dict"] if mean is None else mean.to_torch()
     actor = load_actor(config.learner, layout, weights)
     report = export_onnx(actor, contract, output or folder.path / "policy.onnx", trained=trained)
     _console.print(
