@@ -116,17 +116,19 @@ def _records(path: Path) -> Iterator[object]:
         while True:
             try:
                 record = next(records, None)
-            except EndOfFile:
-                if not begun:
-                    raise ValueError(f"{path} is not a readable recording: it ends before its first message") from None
-                _log.warning("%s was cut off: read as far as it goes", path)
-                return
             except OSError:
                 raise
-            except InvalidMagic:
-                raise ValueError(f"{path} is not a readable recording: no MCAP file") from None
             except Exception as error:  # McapError, and what decompressor and parser raise over damaged bytes
-                raise ValueError(f"{path} is not a readable recording: {type(error).__name__}: {error}") from error
+                # Whatever a parser says of a record that the file's end cuts through: nothing is left after it.
+                if begun and (isinstance(error, EndOfFile) or not file.read(1)):
+                    _log.warning("%s was cut off: read as far as it goes", path)
+                    return
+                why = f"{type(error).__name__}: {error}"
+                if isinstance(error, EndOfFile):
+                    why = "it ends before its first message"
+                elif isinstance(error, InvalidMagic):
+                    why = "no MCAP file"
+                raise ValueError(f"{path} is not a readable recording: {why}") from error
             if record is None:
                 return
             begun = begun or isinstance(record, Channel | Metadata)
