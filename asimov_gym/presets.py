@@ -104,6 +104,22 @@ def read_named(kind: str, folder: str, name: str | Path) -> tuple[Path, Any]:
         raise ValueError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from error
 
 
+def load_named(cls: type[T], kind: str, folder: str, name: str | Path) -> T:
+    """A dataclass with the field `name` from a shipped YAML file or any; the file's name where it gives none.
+
+    The arguments are those of `read_named`.
+
+    Raises:
+        ValueError: as there, or the file does not fit the dataclass; names the file, the place and what is allowed.
+        FileNotFoundError: there is no such file.
+    """
+    path, data = read_named(kind, folder, name)
+    try:
+        return from_mapping(cls, {"name": path.stem, **data} if isinstance(data, Mapping) else data)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
 def load(cls: type[T], path: Path) -> T:
     """Read a preset file.
 

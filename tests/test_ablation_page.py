@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,22 +11,17 @@ from types import ModuleType
 import pytest
 
 from asimov_gym.presets import to_mapping
+from tests.docs_module import docs_module
 from tests.train.made_ablation import WHOLE, made_result, training, value
 from train.ablation import load_study
 from train.ablation_figures import FIGURES, Value
 from train.ablation_result import AblationResult
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-MODULES = ("ablation_page", "ablation_pictures", "recipe_page", "how_good_pictures", "markers")
-
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """`docs/ablation_page.py`."""
-    monkeypatch.syspath_prepend(str(DOCS))
-    yield importlib.import_module("ablation_page")
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    yield from docs_module("ablation_page", monkeypatch)
 
 
 def table(header, rows) -> str:

@@ -17,19 +17,14 @@ from asimov_gym.evaluation.bars import BARS
 from asimov_gym.evaluation.card import CardFigures
 from asimov_gym.evaluation.results import PushLimit
 from asimov_gym.evaluation.suite import load_suite
+from tests.docs_module import docs_module
 from tests.evaluation.made_results import whole_suite
-
-DOCS = Path(__file__).resolve().parent.parent / "docs"
-MODULES = ("generate", "how_good_page", "how_good_pictures", "recipe_page", "throughput", "state_diagram")
 
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """`docs/how_good_page.py`."""
-    monkeypatch.syspath_prepend(str(DOCS))
-    yield importlib.import_module("how_good_page")
-    for name in MODULES:
-        sys.modules.pop(name, None)
+    yield from docs_module("how_good_page", monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+from tests.docs_module import DOCS, docs_module
 
 
 @pytest.fixture
 def generator(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """`docs/recipe_page.py`."""
-    monkeypatch.syspath_prepend(str(DOCS))
-    yield importlib.import_module("recipe_page")
-    sys.modules.pop("recipe_page")
+    yield from docs_module("recipe_page", monkeypatch)
 
 
 def table(header, rows) -> str:

@@ -6,12 +6,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from asimov_gym.presets import from_mapping, read_named, shipped_names, to_mapping
+from asimov_gym.presets import load_named, shipped_names, to_mapping
 from train.config import PpoConfig
 from train.overrides import check_about, check_name, check_overrides, differences, network_settings, overridden
 
@@ -151,11 +150,7 @@ def load_study(name: str | Path) -> Study:
             the variant, the field, the value and what is allowed.
         FileNotFoundError: there is no such file.
     """
-    path, data = read_named("ablation", "ablations", name)
-    try:
-        return from_mapping(Study, {"name": path.stem, **data} if isinstance(data, Mapping) else data)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return load_named(Study, "ablation", "ablations", name)
 
 
 def changes(config: PpoConfig, base: PpoConfig) -> dict[str, tuple[Any, Any]]:

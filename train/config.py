@@ -10,7 +10,7 @@ import tyro
 from asimov_gym.assets import config_path
 from asimov_gym.physics import PROFILES
 from asimov_gym.physics.profile import ENGINES
-from asimov_gym.presets import check_interval, check_range, load
+from asimov_gym.presets import check_interval, check_range, load, shipped_names
 from asimov_gym.robot.observation import observation_layout
 from asimov_gym.tasks.walk import WalkConfig
 
@@ -147,7 +147,7 @@ class PpoConfig:
 
 def preset_names() -> list[str]:
     """Names of the shipped presets."""
-    return sorted(path.stem for path in config_path("train").glob("*.yaml"))
+    return list(shipped_names("train"))
 
 
 def load_preset(name: str) -> PpoConfig:

@@ -5,12 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from asimov_gym.presets import from_mapping, read_named, shipped_names
+from asimov_gym.presets import load_named, shipped_names
 from train.config import PpoConfig
 from train.overrides import check_about, check_name, check_overrides, network_settings, overridden
 
@@ -119,8 +118,4 @@ def load_recipe(name: str | Path) -> Recipe:
             the value and what is allowed.
         FileNotFoundError: there is no such file.
     """
-    path, data = read_named("recipe", "recipes", name)
-    try:
-        return from_mapping(Recipe, {"name": path.stem, **data} if isinstance(data, Mapping) else data)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return load_named(Recipe, "recipe", "recipes", name)

@@ -6,9 +6,6 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,6 +18,7 @@ pytest.importorskip("rsl_rl", reason="the training extra is not installed: pip i
 from asimov_gym.assets import asset_path  # noqa: E402
 from asimov_gym.evaluation.suite import load_suite  # noqa: E402
 from tests.evaluation.made_results import whole_suite  # noqa: E402
+from tests.train.interruption import interrupted_killed_and_resumed  # noqa: E402
 from tests.train.test_ablation_file import changed, written  # noqa: E402
 from train.__main__ import main  # noqa: E402
 from train.ablation import load_study  # noqa: E402
@@ -30,18 +28,11 @@ from train.ppo import Trainer  # noqa: E402
 from train.run_folder import RunFolder  # noqa: E402
 from train.session import evaluation_place  # noqa: E402
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 PLAN = changed("[1, 2]", "[1]")
 NAMES = ["all_seed1", "quiet_seed1", "loose_seed1", "all_seed5"]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """Results are the same bit for bit only with one thread."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -333,44 +324,11 @@ def test_an_unknown_suite_and_several_processes_are_refused(
 # -- for real --------------------------------------------------------------------------------------------------------
 
 
-def _start(folder: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "train", "ablation", "smoke", "--runs", str(folder)]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=REPOSITORY, stdout=pipe, stderr=subprocess.STDOUT, text=True, env=environment)
-
-
-def _when(process: subprocess.Popen[str], there: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + 300.0
-    while not there():
-        assert process.poll() is None, process.stdout.read() if process.stdout else ""
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
 @pytest.mark.slow
 def test_smoke_is_interrupted_killed_resumed_and_judged(tmp_path: Path) -> None:
     first, second = tmp_path / "smoke" / "all_seed1", tmp_path / "smoke" / "sensor_noise_seed1"
-    process = _start(tmp_path)
-    try:
-        _when(process, lambda: list(first.glob("curves/events.*")))
-        time.sleep(0.5)  # the loop listens for signals right after
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=300)
-        assert process.returncode == 0, output
-        assert "continue with:  python -m train ablation smoke" in output
-        process = _start(tmp_path)
-        _when(process, lambda: list(second.glob("evaluation/*/trials.jsonl")))  # while it is judged
-        process.send_signal(signal.SIGKILL)
-        process.communicate(timeout=300)
-        done = first / "checkpoints"
-        before = {path.name: path.stat().st_mtime_ns for path in done.iterdir()}
-        process = _start(tmp_path)
-        output, _ = process.communicate(timeout=600)
-    finally:
-        process.kill()
-    assert process.returncode == 0, output
-    assert {path.name: path.stat().st_mtime_ns for path in done.iterdir()} == before
+    judging = lambda: list(second.glob("evaluation/*/trials.jsonl"))  # noqa: E731
+    interrupted_killed_and_resumed(["ablation", "smoke", "--runs", str(tmp_path)], first, judging)
     result = AblationResult.load(tmp_path / "smoke" / "ablation.json")
     assert [(one.name, [run.samples for run in one.trainings]) for one in result.variants] == [
         ("all", [7680]),

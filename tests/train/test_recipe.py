@@ -7,8 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
 pytest.importorskip("rsl_rl", reason="the training extra is not installed: pip install 'asimov-gym[train]'")
 
+from tests.train.interruption import REPOSITORY, interrupted_killed_and_resumed  # noqa: E402
 from tests.train.jax_settings import why_absent  # noqa: E402
 from tests.train.recipe_pair import PAIR, ROUND, changed, written  # noqa: E402
 from train.__main__ import main  # noqa: E402
@@ -26,16 +26,7 @@ from train.config import load_preset  # noqa: E402
 from train.ppo import Trainer  # noqa: E402
 from train.run_folder import RunFolder  # noqa: E402
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """Results are the same bit for bit only with one thread."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture
@@ -286,44 +277,14 @@ def test_what_this_machine_cannot_do_is_refused(
 # -- for real --------------------------------------------------------------------------------------------------------
 
 
-def _start(folder: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "train", "recipe", "smoke", "--runs", str(folder), "--suite", "smoke"]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=REPOSITORY, stdout=pipe, stderr=subprocess.STDOUT, text=True, env=environment)
-
-
-def _when(process: subprocess.Popen[str], there: Callable[[], Any]) -> None:
-    deadline = time.monotonic() + 300.0
-    while not there():
-        assert process.poll() is None, process.stdout.read() if process.stdout else ""
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
-
-
 @pytest.mark.slow
 def test_smoke_is_interrupted_killed_resumed_and_judged(tmp_path: Path) -> None:
     first, second = tmp_path / "smoke" / "01_stand", tmp_path / "smoke" / "02_settle"
-    process = _start(tmp_path)
-    try:
-        _when(process, lambda: list(first.glob("curves/events.*")))
-        time.sleep(0.5)  # the loop listens for signals right after
-        process.send_signal(signal.SIGINT)
-        output, _ = process.communicate(timeout=300)
-        assert process.returncode == 0, output
-        assert "continue with:  python -m train recipe smoke" in output
-        process = _start(tmp_path)
-        _when(process, lambda: list(second.glob("checkpoints/*.pt")))
-        process.send_signal(signal.SIGKILL)
-        process.communicate(timeout=300)
-        done = first / "checkpoints"
-        before = {path.name: path.stat().st_mtime_ns for path in done.iterdir()}
-        process = _start(tmp_path)
-        output, _ = process.communicate(timeout=600)
-    finally:
-        process.kill()
-    assert process.returncode == 0, output
-    assert {path.name: path.stat().st_mtime_ns for path in done.iterdir()} == before
+    output = interrupted_killed_and_resumed(
+        ["recipe", "smoke", "--runs", str(tmp_path), "--suite", "smoke"],
+        first,
+        lambda: list(second.glob("checkpoints/*.pt")),
+    )
     assert [RunFolder.open(path).samples() for path in (first, second)] == [15360, 15360]
     assert [stage["samples"] for stage in RunFolder.open(second).history()] == [15360, 15360]
     card = (second / "policy.md").read_text()
