@@ -49,6 +49,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("walk.command.wz", "turning, rad/s"),
         Row("walk.command.interval_s", "a new command every, s"),
         Row("walk.command.single_axis_share", "share of commands with one velocity only"),
+        Row("walk.command.corner_share", "share of commands from the corners of the range"),
         Row("walk.episode_s", "length of an episode, s"),
         Row("walk.terrain", "ground"),
         *_rewards(
@@ -115,6 +116,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("walk.shove.first", "share of these forces at the start of the curriculum"),
         Row("walk.shove.duration_s", "a shove lasts, s"),
         Row("walk.shove.interval_s", "from one shove to the next, s"),
+        Row("walk.shove.pace_at_rest", "at rest that time passes so many times as fast"),
         Row("walk.thrown_speed", "a standing robot faster than this may step, m/s"),
         *_rewards("capture"),
     ),

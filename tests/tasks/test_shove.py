@@ -122,3 +122,18 @@ def test_shoves_move_the_robot_and_nothing_else_changes() -> None:
 def test_settings_are_checked(fields: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         ShoveConfig(**fields)
+
+
+def test_comes_sooner_at_rest() -> None:
+    config = replace(SHOVE, pace_at_rest=4)
+    task, state = start(config, n=2)
+    state = replace(state, command=np.array([[0.0, 0, 0], [0.5, 0, 0]]), command_left=np.full(2, 500))
+    state = replace(state, shove_wait=np.full(2, 100), shove_left=np.array([3, 0]))
+    waits = []
+    for _ in range(4):
+        state = task.shove(state, np.zeros((2, SHOVE_DRAWS)), 1.0)
+        state = task.advance(state, np.zeros((2, 6)))
+        waits.append(state.shove_wait.tolist())
+    assert waits == [[99, 99], [98, 98], [94, 97], [90, 96]]  # the shove that acts first comes to its end
+    with pytest.raises(ValueError, match=r"shove.pace_at_rest must lie in \[1, 100\], got 0"):
+        replace(config, pace_at_rest=0)

@@ -14,6 +14,7 @@ from asimov_gym.robot import frames, mirror
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION, VELOCITY_LIMIT
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask, rewards
 from asimov_gym.tasks.walk import task as walk
+from asimov_gym.tasks.walk.config import CommandConfig
 from asimov_gym.tasks.walk.state import COMMAND_DRAWS, POSE_DRAWS, RESET_DRAWS, SENSOR_DRAWS
 
 
@@ -231,6 +232,20 @@ def test_commands_fill_their_ranges_and_stand_now_and_then() -> None:
     single = ((commands != 0).sum(axis=1) == 1).mean()
     assert single == pytest.approx(c.single_axis_share, abs=0.01)
     assert lifetimes.min() >= c.interval_s[0] * 50 and lifetimes.max() <= c.interval_s[1] * 50
+
+
+def test_commands_come_from_the_corners_of_their_ranges_too() -> None:
+    config = CommandConfig(vx=(-0.5, 0.8), standing_share=0.2, single_axis_share=0.1, corner_share=0.54)
+    task = WalkTask(WalkConfig(command=config))
+    commands, _ = task.draw_command(np.random.default_rng(0).random((20000, COMMAND_DRAWS)))
+    places = np.array([[*config.vx, 0.0], [*config.vy, 0.0], [*config.wz, 0.0]])
+    corner = (commands[:, :, None] == places).any(axis=2).all(axis=1) & ((commands != 0.0).sum(axis=1) > 1)
+    assert corner.mean() == pytest.approx(0.54 * 20 / 27, abs=0.01)  # two velocities or three
+    kinds, counts = np.unique(commands[corner], axis=0, return_counts=True)
+    assert len(kinds) == 20 and counts.min() > 0.8 * counts.max()
+    assert (commands == 0).all(axis=1).mean() == pytest.approx(0.2 + 0.54 / 27, abs=0.01)
+    with pytest.raises(ValueError, match=r"command.corner_share must lie in \[0, 0.7\], got 0.71"):
+        replace(config, corner_share=0.71)
 
 
 def test_clock_rests_while_standing_and_commands_are_renewed() -> None:

@@ -25,6 +25,8 @@ class CommandConfig:
     """Share of draws that ask to stand."""
     single_axis_share: float = 0.3
     """Share of draws with only one of the three velocities."""
+    corner_share: float = 0.0
+    """Share of draws of which each velocity is the least, none or the largest of its range, with the same chance."""
     interval_s: tuple[float, float] = (3.0, 7.0)
     """Time until the next draw."""
 
@@ -34,6 +36,8 @@ class CommandConfig:
         check_interval("command.wz", self.wz, -2.0, 2.0)
         check_range("command.standing_share", self.standing_share, 0.0, 1.0)
         check_range("command.single_axis_share", self.single_axis_share, 0.0, 1.0 - self.standing_share)
+        rest = 1.0 - self.standing_share - self.single_axis_share
+        check_range("command.corner_share", self.corner_share, 0.0, round(rest, 9))
         check_interval("command.interval_s", self.interval_s, 0.02, 1e6)
 
 
@@ -116,7 +120,9 @@ class ShoveConfig:
     """Forces on single bodies for a short time; none by default. See `asimov_gym.tasks.walk.shove`."""
 
     interval_s: tuple[float, float] = (3.0, 8.0)
-    """Time from the end of one to the start of the next."""
+    """Time from the end of one to the start of the next, while the robot is asked to walk."""
+    pace_at_rest: int = 1
+    """How many times as fast that time passes while it is asked to stand."""
     duration_s: tuple[float, float] = (0.1, 0.2)
     horizontal: Mapping[str, float] = field(default_factory=dict)
     """Largest force by body, in any horizontal direction, N: at the end of the curriculum."""
@@ -128,6 +134,7 @@ class ShoveConfig:
     def __post_init__(self) -> None:
         check_interval("shove.interval_s", self.interval_s, 0.02, 1e6)
         check_interval("shove.duration_s", self.duration_s, 0.02, 5.0)
+        check_range("shove.pace_at_rest", self.pace_at_rest, 1, 100)
         check_range("shove.first", self.first, 0.0, 1.0)
         for name in ("horizontal", "downward"):
             for body, force in getattr(self, name).items():

@@ -42,6 +42,21 @@ def shoved(config: ShoveConfig, state: WalkState, draws: Any, level: Any) -> Wal
     return replace(state, shove=force, shove_left=left, shove_wait=xp.where(due, duration + wait, state.shove_wait))
 
 
+def pace(config: ShoveConfig, state: WalkState, moving: Any) -> Any:
+    """Policy steps by which the next shove comes nearer in a step, (N,) or one number: more at rest, unless one acts.
+
+    Args:
+        config: its `pace_at_rest` counts.
+        state: of the step.
+        moving: copies that are asked to walk, (N,) bool.
+    """
+    if config.pace_at_rest == 1:
+        return 1
+    xp = namespace(state.shove_wait)
+    one = xp.ones_like(state.shove_wait)
+    return xp.where(moving | (state.shove_left > 0), one, config.pace_at_rest * one)
+
+
 def _draw_shove(config: ShoveConfig, draws: Any, level: Any) -> tuple[Any, Any, Any]:
     """Forces (N, B, 3), N, and how long they last and until when none follows, policy steps (N,)."""
     xp = namespace(draws)

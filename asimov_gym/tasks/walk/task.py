@@ -26,8 +26,8 @@ from asimov_gym.tasks.ground_truth import above_ground, critic_view, ground_trut
 from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.walk import bus_age, rewards
 from asimov_gym.tasks.walk.config import WalkConfig
-from asimov_gym.tasks.walk.draws import DT, between, steps_between
-from asimov_gym.tasks.walk.shove import shoved
+from asimov_gym.tasks.walk.draws import DT, between, corners, steps_between
+from asimov_gym.tasks.walk.shove import pace, shoved
 from asimov_gym.tasks.walk.state import COMMAND_DRAWS, PLACE_DRAWS, START_DRAWS, STEP_DRAWS, WalkState
 
 _JOINTS, _ACTIONS = len(JOINT_NAMES), len(POLICY_JOINT_NAMES)
@@ -125,6 +125,9 @@ class WalkTask:
         c = self.config.command
         axes = (c.vx, c.vy, c.wz)
         command = xp.stack([between(draws[:, i], axis) for i, axis in enumerate(axes)], axis=-1)
+        if c.corner_share > 0.0:
+            corner = (draws[:, 3] >= c.standing_share) & (draws[:, 3] < c.standing_share + c.corner_share)
+            command = xp.where(corner[:, None], corners(draws[:, 0:3], axes), command)
         standing = draws[:, 3] < c.standing_share
         single = draws[:, 3] > 1.0 - c.single_axis_share
         axis = xp.floor(3.0 * draws[:, 4])
@@ -290,7 +293,7 @@ class WalkTask:
             command=xp.where(due[:, None], fresh, state.command),
             command_left=xp.where(due, lifetime, state.command_left - 1),
             kick_left=state.kick_left - 1,
-            shove_wait=state.shove_wait - 1,
+            shove_wait=state.shove_wait - pace(self.config.shove, state, moving),
         )
 
     # -- what learners see ---------------------------------------------------------------------------------------------
