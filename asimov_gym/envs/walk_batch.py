@@ -25,6 +25,7 @@ from asimov_gym.robot.joints import JOINT_NAMES, POLICY_JOINT_NAMES
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask
 from asimov_gym.tasks.walk import curriculum as levels
 from asimov_gym.tasks.walk.curriculum import Levels
+from asimov_gym.tasks.walk.draws import draw_body, draw_kick
 from asimov_gym.tasks.walk.state import SHOVE_DRAWS
 
 _ACTIONS = len(POLICY_JOINT_NAMES)
@@ -215,7 +216,7 @@ class WalkBatch:
         if self.randomise:
             redrawn = copies[self._lucky(copies) | ~self._body_drawn[copies]]
             if redrawn.size:
-                for name, rows in vars(self.task.draw_body(self._draw("body", redrawn))).items():
+                for name, rows in vars(draw_body(self.config.randomisation, self._draw("body", redrawn))).items():
                     getattr(self.body, name)[redrawn] = rows
                 self.physics.set_parameters(self.body, redrawn)
                 self._body_drawn[redrawn] = True
@@ -284,7 +285,9 @@ class WalkBatch:
         due = np.flatnonzero(state.kick_left <= 0)
         if not due.size:
             return state
-        kick, wait = self.task.draw_kick(self._draw("kick", due), self.curriculum.kick)  # as `task.kick`, for few rows
+        kick, wait = draw_kick(
+            self.config.kick, self._draw("kick", due), self.curriculum.kick
+        )  # as `task.kick`, for few rows
         self.physics.kick(kick, due)
         left = state.kick_left.copy()
         left[due] = wait

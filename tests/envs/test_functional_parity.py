@@ -63,9 +63,15 @@ def walk_config() -> WalkConfig:
     short = SHORT
     return replace(
         short,
-        command=replace(short.command, interval_s=(0.06, 0.2)),
+        command=replace(short.command, interval_s=(0.06, 0.2), corner_share=0.3),
         kick=replace(short.kick, interval_s=(0.06, 0.2)),
-        shove=ShoveConfig((0.04, 0.1), (0.04, 0.1), {"pelvis_link": 200.0}, {"left_shoulder_pitch_link": 300.0}),
+        shove=ShoveConfig(
+            interval_s=(0.04, 0.1),
+            pace_at_rest=2,
+            duration_s=(0.04, 0.1),
+            horizontal={"pelvis_link": 200.0},
+            downward={"left_shoulder_pitch_link": 300.0},
+        ),
         randomisation=replace(short.randomisation, redraw_share=0.5),
     )
 

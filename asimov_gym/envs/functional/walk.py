@@ -19,6 +19,7 @@ from asimov_gym.physics.functional.engine import choose, register
 from asimov_gym.tasks.walk import WalkConfig, WalkState, WalkTask, curriculum
 from asimov_gym.tasks.walk import task as walk
 from asimov_gym.tasks.walk.curriculum import Levels
+from asimov_gym.tasks.walk.draws import draw_body
 
 _FOREVER = np.iinfo(np.int32).max // 2
 """Steps left of a command that is never drawn anew."""
@@ -111,7 +112,7 @@ class FunctionalWalk(FunctionalEnv):
         if not self.randomise:
             nominal = vars(nominal_body(copies))
             return BodyParameters(**{name: jnp.asarray(value) for name, value in nominal.items()})
-        drawn = self.task.draw_body(draws["body"])
+        drawn = draw_body(self.config.randomisation, draws["body"])
         if before is None:
             return drawn
         return choose(draws["redraw"][:, 0] < self.config.randomisation.redraw_share, drawn, before.body)

@@ -15,13 +15,13 @@ _JOINTS = len(JOINT_NAMES)
 SENSOR_DRAWS = 3 + 3 + 2 * len(POLICY_JOINT_NAMES)
 """Uniform numbers per copy that `views` needs: one for each sensor in the observation, in its order."""
 COMMAND_DRAWS = 6
-"""Uniform numbers per copy that `draw_command` needs."""
+"""Uniform numbers per copy that `draws.draw_command` needs."""
 KICK_DRAWS = 7
-"""Uniform numbers per copy that `draw_kick` needs."""
+"""Uniform numbers per copy that `draws.draw_kick` needs."""
 RESET_DRAWS = 2 + _JOINTS + COMMAND_DRAWS + 2
 """Uniform numbers per copy that `initial_state` needs."""
 BODY_DRAWS = 4 + 2 * _JOINTS
-"""Uniform numbers per copy that `draw_body` needs."""
+"""Uniform numbers per copy that `draws.draw_body` needs."""
 POSE_DRAWS = 5 + _JOINTS + 6
 """Uniform numbers per copy that `initial_pose` needs."""
 STEP_DRAWS: Mapping[str, int] = MappingProxyType(

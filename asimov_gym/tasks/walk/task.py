@@ -26,7 +26,7 @@ from asimov_gym.tasks.ground_truth import above_ground, critic_view, ground_trut
 from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.walk import bus_age, rewards
 from asimov_gym.tasks.walk.config import WalkConfig
-from asimov_gym.tasks.walk.draws import DT, between, corners, steps_between
+from asimov_gym.tasks.walk.draws import DT, draw_command, draw_kick, steps_between
 from asimov_gym.tasks.walk.shove import pace, shoved
 from asimov_gym.tasks.walk.state import COMMAND_DRAWS, PLACE_DRAWS, START_DRAWS, STEP_DRAWS, WalkState
 
@@ -103,7 +103,7 @@ class WalkTask:
         low, high = xp.round(steps[0]), xp.round(steps[1])
         delay = xp.astype(xp.floor(low + (high - low + 0.999) * draws[:, 0]), integer(xp))
         zero = c.noise.joint_zero * (2.0 * draws[:, 2 : 2 + _JOINTS] - 1.0)
-        command, left = self.draw_command(draws[:, 2 + _JOINTS : 2 + _JOINTS + COMMAND_DRAWS])
+        command, left = draw_command(c.command, draws[:, 2 + _JOINTS : 2 + _JOINTS + COMMAND_DRAWS])
         return WalkState(
             step=xp.zeros(n, dtype=integer(xp)),
             command=command,
@@ -118,63 +118,6 @@ class WalkTask:
             shove_left=xp.zeros(n, dtype=integer(xp)),
             shove_wait=steps_between(draws[:, -1], c.shove.interval_s),
         )
-
-    def draw_command(self, draws: Any) -> tuple[Any, Any]:
-        """Velocity commands (N, 3) and their lifetimes in policy steps (N,), from draws (N, COMMAND_DRAWS)."""
-        xp = namespace(draws)
-        c = self.config.command
-        axes = (c.vx, c.vy, c.wz)
-        command = xp.stack([between(draws[:, i], axis) for i, axis in enumerate(axes)], axis=-1)
-        if c.corner_share > 0.0:
-            corner = (draws[:, 3] >= c.standing_share) & (draws[:, 3] < c.standing_share + c.corner_share)
-            command = xp.where(corner[:, None], corners(draws[:, 0:3], axes), command)
-        standing = draws[:, 3] < c.standing_share
-        single = draws[:, 3] > 1.0 - c.single_axis_share
-        axis = xp.floor(3.0 * draws[:, 4])
-        kept = xp.arange(3, dtype=draws.dtype)[None, :] == axis[:, None]
-        command = xp.where(single[:, None] & ~kept, xp.zeros_like(command), command)
-        command = xp.where(standing[:, None], xp.zeros_like(command), command)
-        return command, steps_between(draws[:, 5], c.interval_s)
-
-    def draw_body(self, draws: Any) -> BodyParameters:
-        """Body figures (N rows) from draws (N, BODY_DRAWS)."""
-        xp = namespace(draws)
-        r = self.config.randomisation
-        com = xp.stack(
-            [between(draws[:, 2], r.torso_com_x), 0.0 * draws[:, 2], between(draws[:, 3], r.torso_com_z)], axis=-1
-        )
-        return BodyParameters(
-            foot_friction=between(draws[:, 0], r.foot_friction),
-            torso_mass=between(draws[:, 1], r.torso_mass),
-            torso_com=com,
-            kp_scale=between(draws[:, 4 : 4 + _JOINTS], r.kp_scale),
-            kd_scale=between(draws[:, 4 + _JOINTS :], r.kd_scale),
-        )
-
-    def draw_kick(self, draws: Any, level: Any) -> tuple[Any, Any]:
-        """Changes of the pelvis velocity (N, 6) and steps until the next kick (N,), from draws (N, KICK_DRAWS).
-
-        Args:
-            level: place in the curriculum, 0 to 1.
-        """
-        xp = namespace(draws)
-        k = self.config.kick
-        largest = k.speed[0] + (k.speed[1] - k.speed[0]) * level
-        angle = 2.0 * math.pi * draws[:, 0]
-        speed = largest * draws[:, 1]
-        centred = 2.0 * draws - 1.0
-        kick = xp.stack(
-            [
-                speed * xp.cos(angle),
-                speed * xp.sin(angle),
-                k.vertical * centred[:, 2],
-                k.tilt_rate * centred[:, 3],
-                k.tilt_rate * centred[:, 4],
-                k.turn_rate * centred[:, 5],
-            ],
-            axis=-1,
-        )
-        return kick, steps_between(draws[:, 6], k.interval_s)
 
     # -- a step --------------------------------------------------------------------------------------------------------
 
@@ -205,7 +148,7 @@ class WalkTask:
         """
         xp = namespace(draws)
         due = state.kick_left <= 0
-        kick, wait = self.draw_kick(draws, level)
+        kick, wait = draw_kick(self.config.kick, draws, level)
         left = xp.where(due, wait, state.kick_left)
         return replace(state, kick_left=left), xp.where(due[:, None], kick, xp.zeros_like(kick))
 
@@ -284,7 +227,7 @@ class WalkTask:
         xp = namespace(state.phase)
         moving = gait_clock.is_moving(state.command, self.config.standing_threshold)
         phase = gait_clock.advance(state.phase, moving, self.config.gait_frequency_hz, DT)
-        fresh, lifetime = self.draw_command(command_draws)
+        fresh, lifetime = draw_command(self.config.command, command_draws)
         due = state.command_left <= 1
         return replace(
             state,
