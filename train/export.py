@@ -37,7 +37,7 @@ class ExportParityError(RuntimeError):
     """The exported network does not compute what the trained one does.
 
     Attributes:
-        difference: largest difference between the two outputs.
+        difference: largest difference between the two outputs, as `export_onnx` measures it.
         rejected: the faulty file, kept for inspection.
     """
 
@@ -57,7 +57,7 @@ class ExportReport:
     path: Path
     samples: int
     difference: float
-    """Largest difference between the trained actor's and the file's outputs."""
+    """Largest difference between the trained actor's and the file's outputs, as a share of those greater than one."""
 
 
 def export_onnx(
@@ -83,7 +83,8 @@ def export_onnx(
         normaliser: module applied to observations before `actor`, where the actor has none inside.
         trained: the network that was trained, where `actor` is only its image in torch; the file is compared with it.
         samples: number of observations compared.
-        tolerance: largest absolute difference allowed between the two outputs.
+        tolerance: largest difference allowed between the two outputs; of outputs beyond plus and minus one, as a share
+            of them: float32 itself is that coarse.
         seed: seed of those observations.
 
     Raises:
@@ -266,8 +267,9 @@ def _strip(model: onnx.ModelProto) -> None:
 
 
 def _largest_difference(expected: np.ndarray, answered: np.ndarray, contract: PolicyContract) -> tuple[float, str]:
-    """Largest absolute difference of two outputs (n, 23), and where it is, in words."""
-    difference = np.abs(expected.astype(np.float64) - answered.astype(np.float64))
+    """Largest difference of two outputs (n, 23), of great ones as a share of them, and where it is, in words."""
+    expected = expected.astype(np.float64)
+    difference = np.abs(expected - answered.astype(np.float64)) / np.maximum(1.0, np.abs(expected))
     difference = np.where(np.isnan(difference), np.inf, difference)
     row, column = np.unravel_index(int(np.argmax(difference)), difference.shape)
     return float(difference[row, column]), f"observation {row}, {contract.joint_names[column]}"
