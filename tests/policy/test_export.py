@@ -122,6 +122,21 @@ def test_a_lost_normaliser_fails_loudly(tmp_path: Path, contract, monkeypatch) -
     assert not (tmp_path / "policy.onnx").exists()
 
 
+def test_great_outputs_are_compared_as_shares_and_small_ones_as_they_are() -> None:
+    contract = default_contract()
+    expected = np.full((2, 23), 0.5)
+    expected[1] = 20.0
+    answered = expected.copy()
+    answered[1, 3] += 1e-4  # float32 steps there are 2e-6, and a layer sums a hundred of them
+    difference, place = export._largest_difference(expected, answered, contract)
+    assert difference == pytest.approx(5e-6) and place == f"observation 1, {contract.joint_names[3]}"
+    answered[0, 5] -= 2e-5
+    assert export._largest_difference(expected, answered, contract)[0] == pytest.approx(2e-5)
+    for wrong in (np.nan, np.inf):
+        answered[1, 7] = wrong
+        assert export._largest_difference(expected, answered, contract)[0] == np.inf
+
+
 def test_what_cannot_be_exported_is_refused_before_writing(tmp_path: Path, contract) -> None:
     from dataclasses import replace
 
