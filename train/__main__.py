@@ -1,4 +1,4 @@
-"""`python -m train ppo | recipe | ablation | resume | export | card`: make the MOVE/POLICY network."""
+"""`python -m train ppo | recipe | ablation | resume | average | export | card`: make the MOVE/POLICY network."""
 
 from __future__ import annotations
 
@@ -38,6 +38,18 @@ class Export:
     """Folder of the run."""
     output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
     """File to write; `policy.onnx` in the run's folder when omitted."""
+
+
+@dataclass(frozen=True)
+class Average:
+    """Make a run of the mean of what successive runs export: it has forgotten less than each of them."""
+
+    runs: tyro.conf.Positional[tuple[Path, ...]]
+    """Folders of the runs, oldest first, each warm-started from the one before."""
+    name: str = "mean"
+    """Name of the new run."""
+    root: Annotated[Path, tyro.conf.arg(name="runs")] = Path("runs")
+    """Folder that holds the runs."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +149,16 @@ def _export(arguments: list[str]) -> int:
     return export_run(export.run, export.output)
 
 
+def _average(arguments: list[str]) -> int:
+    from train.mean_run import average_runs
+    from train.session import export_run
+
+    average = tyro.cli(Average, args=arguments, prog="python -m train average")
+    folder = average_runs(average.runs, average.root, average.name)
+    print(f"run folder: {folder.path}")
+    return export_run(folder.path, None)
+
+
 def _card(arguments: list[str]) -> int:
     from train.session import write_run_card
 
@@ -179,18 +201,27 @@ def _ablation(arguments: list[str]) -> int:
     return run.execute()
 
 
-_COMMANDS = {"ppo": _ppo, "recipe": _recipe, "ablation": _ablation, "resume": _resume, "export": _export, "card": _card}
+_COMMANDS = {
+    "ppo": _ppo,
+    "recipe": _recipe,
+    "ablation": _ablation,
+    "resume": _resume,
+    "average": _average,
+    "export": _export,
+    "card": _card,
+}
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: python -m train {ppo,recipe,ablation,resume,export,card} [flags]\n")
+        print("usage: python -m train {ppo,recipe,ablation,resume,average,export,card} [flags]\n")
         print("  ppo       train a walking policy (see: python -m train ppo --help)")
         print("  recipe    make a policy from nothing, in several stages (alone: lists the recipes)")
         print("  ablation  find out what each ingredient is worth (alone: lists the studies)")
         print("  resume    continue a run from its newest checkpoint")
+        print("  average   make a run of the mean of successive runs' networks")
         print("  export    write a run's network as ONNX")
         print("  card      evaluate a run's network and write its card")
         return 0 if arguments else 2

@@ -7,7 +7,7 @@ weights as they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -46,6 +46,15 @@ class WeightAverage:
 def averaged(snapshot: Mapping[str, Any] | None) -> NetworkWeights | None:
     """The mean in a snapshot; None where there is none."""
     return None if snapshot is None else NetworkWeights(**snapshot["weights"])
+
+
+def mean_of(actors: Sequence[NetworkWeights]) -> NetworkWeights:
+    """The plain mean of one actor or several; the normaliser has seen as much as the last one's."""
+    average = WeightAverage(len(actors))
+    for weights in actors:
+        average.add(weights)
+    assert average.weights is not None
+    return average.weights
 
 
 def _between(old: NetworkWeights, new: NetworkWeights, share: float) -> NetworkWeights:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,10 +49,12 @@ def read_curves(folder: RunFolder, names: Sequence[str] = tuple(name for name, _
 
 
 def joined_curves(folders: Sequence[RunFolder]) -> dict[str, np.ndarray]:
-    """Curves of runs that followed each other, on one axis of samples."""
+    """Curves of runs that followed each other, on one axis of samples; a mean of runs has none."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name, _ in CURVES}
     offset = 0.0
     for folder in folders:
+        if "mean_of" in folder.origin():
+            continue
         curves = read_curves(folder)
         for name, rows in curves.items():
             parts[name].append(rows + np.array([offset, 0.0]))
@@ -117,10 +120,7 @@ def write_card(
     plot_curves(curves, path.with_suffix(".curves.png"))
     save_curves(curves, path.with_suffix(".curves.csv"))
     CardFigures.of(result, evaluation).save(path.with_suffix(".json"))
-    stages = "\n".join(
-        f"| {number} | `{stage['preset']}` | {stage['samples']:,} | {stage['seconds'] / 60:.0f} | `{stage['commit']}` |"
-        for number, stage in enumerate(folder.history(), start=1)
-    )
+    stages = "\n".join(_stage(number, stage) for number, stage in enumerate(folder.history(), start=1))
     ranges = ", ".join(
         f"{axis} {low:g} to {high:g}"
         for axis, (low, high) in zip(("vx", "vy", "wz"), contract.command_ranges, strict=True)
@@ -160,6 +160,15 @@ collisions, elliptic friction cone and dry joint friction, no rope; every scenar
 
 {notes}"""
     path.write_text(card, encoding="utf-8")
+
+
+def _stage(number: int, stage: Mapping[str, Any]) -> str:
+    """A row of the table of stages."""
+    if "mean_of" in stage:
+        what, samples, minutes = f"the mean of stages {', '.join(map(str, stage['mean_of']))}", "–", "–"
+    else:
+        what, samples, minutes = f"`{stage['preset']}`", f"{stage['samples']:,}", f"{stage['seconds'] / 60:.0f}"
+    return f"| {number} | {what} | {samples} | {minutes} | `{stage['commit']}` |"
 
 
 def _how_it_was_made(folder: RunFolder) -> str:

@@ -50,6 +50,8 @@ class Recipe:
     """The folder of its runs is called after it; the file's when that gives none."""
     overrides: dict[str, Any] = field(default_factory=dict)
     """Settings of all stages that differ from the presets'; a stage's own come on top."""
+    averaged_stages: int = 1
+    """The result is the mean of the networks that so many last stages end with: see `train.mean_run`."""
     gpu: bool = False
     """Whether it is meant for an NVIDIA GPU, and refused without one."""
 
@@ -63,6 +65,8 @@ class Recipe:
         if twice:
             raise ValueError(f"stages must have names of their own, got {', '.join(twice)} more than once")
         check_overrides("overrides", self.overrides, _ELSEWHERE)
+        if not 1 <= self.averaged_stages <= len(self.stages):
+            raise ValueError(f"averaged_stages must lie in [1, {len(self.stages)}], got {self.averaged_stages}")
         self._check_warm_starts()
 
     def _check_warm_starts(self) -> None:

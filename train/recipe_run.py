@@ -1,12 +1,14 @@
 """Going through a recipe, stage after stage; interrupted at any time and gone on with by the same command.
 
 A stage is a run like any other, in `<runs>/<recipe>/<number>_<stage>`, started and continued as `python -m train ppo`
-and `resume` do it. What is there decides what is left: nothing else is remembered.
+and `resume` do it; the mean of the last ones, where the recipe asks for it, is beside them. What is there decides what
+is left: nothing else is remembered.
 """
 
 from __future__ import annotations
 
 import shlex
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from rich.console import Console
 
 from asimov_gym.evaluation.suite import load_suite
 from train.hardware import why_no_gpu
+from train.mean_run import average_runs
 from train.planned_run import STOPPED, WAY_OUT, PlannedRun, processes
 from train.recipe import Recipe, Stage
 from train.run_folder import RunFolder
@@ -102,14 +105,27 @@ class RecipeRun:
     # -- the result ----------------------------------------------------------------------------------------------------
 
     def _judge(self) -> int:
-        """Export the last stage's network and write its card."""
+        """Export the result and write its card."""
         *earlier, last = (run.folder.path for run in self.stages)
-        policy = last / "policy.onnx"
+        result = last
+        if self.recipe.averaged_stages > 1:
+            earlier, result = [*earlier, last], self._mean().path
+        policy = result / "policy.onnx"
         if not policy.is_file():  # killed in between
-            export_run(last, policy)
-        code = write_run_card(last, policy, None, self._suite_name, earlier)
+            export_run(result, policy)
+        code = write_run_card(result, policy, None, self._suite_name, earlier)
         _console.print(f"policy: {policy}")
         return code
+
+    def _mean(self) -> RunFolder:
+        """The mean of the last stages, as a run."""
+        numbered = list(enumerate(self.stages, start=1))[-self.recipe.averaged_stages :]
+        folder = RunFolder(self.path / f"mean_{numbered[0][0]:02d}_{numbered[-1][0]:02d}")
+        if folder.checkpoints():
+            return folder
+        if folder.path.exists():  # killed in between
+            shutil.rmtree(folder.path)
+        return average_runs([run.folder.path for _, run in numbered], self.path, folder.path.name, self.command)
 
     # -- the folder ----------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ class RunFolder:
         name: str | None = None,
         parent: RunFolder | None = None,
         recipe: str | None = None,
+        mean_of: Sequence[int] | None = None,
     ) -> RunFolder:
         """Make a new folder `root/<date>_<name>` with the resolved configuration and the run's origin in it.
 
@@ -70,6 +72,8 @@ class RunFolder:
             name: of the run; the preset's when None.
             parent: run whose networks this one starts with.
             recipe: command of the recipe or study that this run is a part of; the folder is then `root/<name>`.
+            mean_of: where the run is a mean (see `train.mean_run`) of the parent and stages before it: their places in
+                the history, from 1 on.
 
         Raises:
             FileExistsError: that folder is there.
@@ -83,6 +87,8 @@ class RunFolder:
         origin["machine"] = machine()
         origin["recipe"] = recipe
         origin["after"] = None if parent is None else parent.history()
+        if mean_of is not None:
+            origin["mean_of"] = list(mean_of)
         (path / "origin.json").write_text(json.dumps(origin, indent=2) + "\n", encoding="utf-8")
         return cls(path)
 
@@ -106,11 +112,14 @@ class RunFolder:
         origin, progress = self.origin(), self.load_checkpoint()["progress"]
         stage = {"preset": origin["preset"], "commit": origin["commit"]}
         stage |= {"samples": progress["samples"], "seconds": round(progress["seconds"])}
+        if "mean_of" in origin:
+            stage["mean_of"] = origin["mean_of"]
         return [*(origin["after"] or []), stage]
 
     def origin(self) -> dict[str, Any]:
         """What the run was started from: `preset`, `commit`, `model_sha256`, `machine`, the command of the
-        `recipe` or study that it is a part of, and the stages `after` which it came."""
+        `recipe` or study that it is a part of, the stages `after` which it came, and which of them it is the `mean_of`,
+        where it is one."""
         return json.loads((self.path / "origin.json").read_text(encoding="utf-8"))
 
     def samples(self) -> int:

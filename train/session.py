@@ -73,6 +73,8 @@ def resume_run(path: Path) -> int:
 
         def settings() -> PpoConfig:
             config = RunFolder.open(path).config()
+            if "mean_of" in folder.origin():
+                raise ValueError(f"{path} is a mean of runs: begin a new run with --warm-start {path}")
             check(config)
             return config
 
@@ -133,6 +135,7 @@ def export_run(path: Path, output: Path | None) -> int:
             "samples": samples,
             "seconds": round(state["progress"]["seconds"]),
             "after": origin["after"],
+            **({"mean_of": origin["mean_of"]} if "mean_of" in origin else {}),
         },
     )
     layout, learned, trained = observation_layout(walk.layout), state["learner"], None
@@ -147,8 +150,9 @@ def export_run(path: Path, output: Path | None) -> int:
         weights = learned["actor_state_dict"] if mean is None else mean.to_torch()
     actor = load_actor(config.learner, layout, weights)
     report = export_onnx(actor, contract, output or folder.path / "policy.onnx", trained=trained)
+    made = f"a mean of {len(origin['mean_of'])} runs" if "mean_of" in origin else f"after {samples / 1e6:.2f}M samples"
     _console.print(
-        f"exported {report.path} after {samples / 1e6:.2f}M samples; largest difference from the trained network on "
+        f"exported {report.path}, {made}; largest difference from the trained network on "
         f"{report.samples} observations: {report.difference:.1e}"
     )
     return 0
