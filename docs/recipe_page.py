@@ -181,6 +181,8 @@ def _recipes(table: Table) -> str:
                     time_on_two_cores(config),
                 ]
             )
+        if recipe.averaged_stages > 1:
+            rows.append(["", f"the mean of the last {recipe.averaged_stages} networks", "", "", "", "seconds"])
         rows.append(["", "**together**", "", millions(recipe.samples), "", time_on_two_cores(*recipe.configs)])
     return table(["recipe", "stage", "preset", "samples", "robots", "two cores"], rows)
 

@@ -45,7 +45,7 @@ class Average:
     """Make a run of the mean of what successive runs export: it has forgotten less than each of them."""
 
     runs: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of the runs, oldest first, each warm-started from the one before."""
+    """Folders of the runs, oldest first, each warm-started from the one before or from one in between."""
     name: str = "mean"
     """Name of the new run."""
     root: Annotated[Path, tyro.conf.arg(name="runs")] = Path("runs")

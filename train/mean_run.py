@@ -21,13 +21,13 @@ def average_runs(paths: Sequence[Path], root: Path, name: str, recipe: str | Non
     It can be exported, judged, seen and warm-started from like any other, but not resumed.
 
     Args:
-        paths: of two runs or more, each warm-started from the one before.
+        paths: of two runs or more, oldest first, each warm-started from the one before, or from one in between.
         root: folder of runs.
         name: of the new one.
         recipe: see `RunFolder.create`.
 
     Raises:
-        ValueError: there are fewer than two, or one did not begin with the networks of the one before.
+        ValueError: there are fewer than two, or one does not come from the networks of the one before.
         FileNotFoundError: one is not a run, or has no checkpoint.
     """
     runs = [RunFolder.open(path) for path in paths]
@@ -35,9 +35,9 @@ def average_runs(paths: Sequence[Path], root: Path, name: str, recipe: str | Non
         raise ValueError(f"runs must be two or more to have a mean, got {len(runs)}")
     histories = [run.history() for run in runs]
     for run, before, known in zip(runs[1:], runs, histories, strict=False):
-        if run.origin()["after"] != known:
+        if (run.origin()["after"] or [])[: len(known)] != known:
             raise ValueError(
-                f"{run.path} did not begin with the networks that {before.path} ends with: the runs must be "
+                f"{run.path} does not come from the networks that {before.path} ends with: the runs must be "
                 "successive, oldest first"
             )
     last, state = runs[-1], runs[-1].load_checkpoint()

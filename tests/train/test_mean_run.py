@@ -101,6 +101,13 @@ def test_a_warm_start_begins_with_the_mean(mean: RunFolder, runs: list[RunFolder
     trainer.close()
 
 
+def test_runs_in_between_may_be_left_out(runs: list[RunFolder], tmp_path: Path) -> None:
+    folder = average_runs([runs[0].path, runs[2].path], tmp_path, "ends")
+    assert folder.origin()["mean_of"] == [1, 3]
+    for ours, a, b in zip(*(matrices(exported_actor(run)) for run in (folder, runs[0], runs[2])), strict=True):
+        np.testing.assert_allclose(ours, 0.5 * (a + b), rtol=1e-6, atol=1e-7)
+
+
 def test_it_cannot_be_resumed(mean: RunFolder, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["resume", str(mean.path)]) == 2
     assert f"is a mean of runs: begin a new run with --warm-start {mean.path}" in capsys.readouterr().err
@@ -110,11 +117,11 @@ def test_runs_that_do_not_follow_each_other_are_refused(
     runs: list[RunFolder], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, second, third = (str(run.path) for run in runs)
-    for wrong in ([first, third], [third, second]):
+    for wrong in ([third, second], [second, first], [first, first]):
         assert main(["average", *wrong, "--runs", str(tmp_path)]) == 2
         words = capsys.readouterr().err
         assert (
-            f"{wrong[1]} did not begin with the networks that {wrong[0]} ends with" in words and "oldest first" in words
+            f"{wrong[1]} does not come from the networks that {wrong[0]} ends with" in words and "oldest first" in words
         )
     assert main(["average", first, "--runs", str(tmp_path)]) == 2
     assert "runs must be two or more to have a mean, got 1" in capsys.readouterr().err
