@@ -160,7 +160,8 @@ def engine_findings(seconds: float) -> list[Finding]:
         _imported(
             "MJX (JAX)",
             ("jax", "mujoco.mjx"),
-            "import jax, mujoco.mjx; print('jax', jax.__version__, 'on', jax.default_backend())",
+            "import jax, asimov_gym.physics.functional.quiet_mjx; "
+            "print('jax', jax.__version__, 'on', jax.default_backend())",
             extra_line("mjx"),
         )
     )

@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco import mjx
 
 from asimov_gym.physics.functional.engine import Engine, Simulation, choose, rows
 from asimov_gym.physics.functional.ground_contact import foot_signs, ground_force, possible_contacts
+from asimov_gym.physics.functional.quiet_mjx import mjx
 from asimov_gym.physics.parameters import BodyParameters
 from asimov_gym.physics.profile import PhysicsProfile
 from asimov_gym.physics.quantities import JointTarget, is_sound
