@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import random
@@ -58,8 +59,9 @@ def ask(port: int, request: bytes, whole: bool = True) -> bytes:
                 connection.shutdown(socket.SHUT_WR)
             while chunk := connection.recv(65_536):
                 reply += chunk
-        except ConnectionError:  # closed while we sent: that is an answer, too
-            pass
+        except OSError as error:  # closed while we sent: that is an answer, too
+            if not isinstance(error, ConnectionError) and error.errno != errno.ENOTCONN:
+                raise
     return reply
 
 
