@@ -285,9 +285,8 @@ class WalkBatch:
         due = np.flatnonzero(state.kick_left <= 0)
         if not due.size:
             return state
-        kick, wait = draw_kick(
-            self.config.kick, self._draw("kick", due), self.curriculum.kick
-        )  # as `task.kick`, for few rows
+        # As `task.kick`, for few rows.
+        kick, wait = draw_kick(self.config.kick, self._draw("kick", due), self.curriculum.kick)
         self.physics.kick(kick, due)
         left = state.kick_left.copy()
         left[due] = wait
