@@ -100,7 +100,7 @@ def _env_part(result: dict[str, Any]) -> str:
     header = ["environment", "copies", "steps/s", "bare physics", "share", "compile", "memory"]
     first = [
         f"First step after the import, {ENVIRONMENTS[name]}: {step['step_s']:.2f} s"
-        + ("" if step["cached_s"] is None else f", {step['cached_s']:.2f} s from the compile cache")
+        + ("" if step["cached_s"] is None else f", {step['cached_s']:.2f} s the second time")
         + f"; the import {step['import_s']:.2f} s.\n"
         for name, step in result["first_step"].items()
     ]

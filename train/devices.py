@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from asimov_gym.physics.functional import enable_compile_cache  # first: it prepares JAX before anything starts it
+from asimov_gym.physics.functional.runtime import keep_what_is_compiled  # first: its package prepares JAX
 
 # isort: split
 import jax
@@ -33,7 +33,7 @@ def join(ranks: Ranks) -> None:
 
     Rank 0 listens on a free port of the address that `torchrun` has told everyone; JAX_COORDINATOR_ADDRESS overrules.
     """
-    enable_compile_cache()
+    keep_what_is_compiled()
     if ranks.count == 1:
         return
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
@@ -51,7 +51,7 @@ def prepare_beside_torch(ranks: Ranks) -> None:
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     if ranks.local_count > 1:
         jax.config.update("jax_cuda_visible_devices", str(ranks.local_rank))
-    enable_compile_cache()
+    keep_what_is_compiled()
 
 
 def _coordinator() -> str:

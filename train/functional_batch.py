@@ -88,9 +88,9 @@ class FunctionalBatch:
         Returns:
             The actor's observation (N, width) and the critic's (N, privileged width).
         """
-        self._state = self.env.compiled_reset(self._keys)
-        jax.block_until_ready(self._state)
-        return self._state.obs["state"], self._state.obs["privileged_state"]
+        state = self._state = self.env.compiled_reset(self._keys)
+        jax.block_until_ready(state)
+        return state.obs["state"], state.obs["privileged_state"]
 
     def step(self, action: torch.Tensor) -> FunctionalStep:
         """One policy step (20 ms) of every copy.

@@ -27,30 +27,24 @@ ENVIRONMENTS = {
 """What each one is."""
 FIRST_STEP_GOAL = 1.5
 """Seconds that the first step may take after the import."""
+SECOND_START_GOAL = 0.2
+"""The most that a start with kept programs may take, as a share of the first."""
 _FIRST_STEP = """
-import json, time
-began = time.perf_counter()
-import gymnasium, asimov_gym
-imported = time.perf_counter()
-env = gymnasium.make("Asimov-Walk-v0")
-env.reset(seed=0)
-env.step(env.action_space.sample())
-print(json.dumps([imported - began, time.perf_counter() - imported]))
-"""
-_FIRST_STEP_MJX = """
 import json, sys, time
 began = time.perf_counter()
 import gymnasium, asimov_gym
-from asimov_gym.envs.functional import enable_compile_cache
-enable_compile_cache(sys.argv[3])
 imported = time.perf_counter()
-env = gymnasium.make_vec("Asimov-Walk-v0", num_envs=int(sys.argv[2]), physics=sys.argv[1])
+if len(sys.argv) == 1:
+    env = gymnasium.make("Asimov-Walk-v0")
+else:
+    env = gymnasium.make_vec("Asimov-Walk-v0", num_envs=int(sys.argv[2]), physics=sys.argv[1])
 env.reset(seed=0)
 env.step(env.action_space.sample())
 print(json.dumps([imported - began, time.perf_counter() - imported]))
 """
-_FRESH = {"gym": _FIRST_STEP, "jax-mjx": _FIRST_STEP_MJX, "jax-warp": _FIRST_STEP_MJX}
-"""What a fresh process does, by environment."""
+"""What a fresh process does, as a user would; with the engine and the number of copies for a vector environment."""
+_CACHE_SETTINGS = ("JAX_COMPILATION_CACHE", "JAX_ENABLE_COMPILATION_CACHE", "JAX_PERSISTENT_CACHE")
+_WITH_FIRST_STEP = ("gym", "jax-mjx", "jax-warp")
 
 
 @dataclass(frozen=True)
@@ -82,7 +76,7 @@ class FirstStep:
     step_s: float
     """From after the import to the end of the first `env.step`: making, resetting and compiling included."""
     cached_s: float | None = None
-    """The same in a second process that finds what the first one compiled; None where nothing is compiled."""
+    """The same in a second process that finds what the first one compiled, median; None where nothing is compiled."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +120,7 @@ class BenchEnv:
                     rows.append(self.throughput(name, copies))
                 except (ModuleNotFoundError, ValueError, MemoryError) as error:
                     return _refuse(f"{name} with {copies} copies: {error or 'the batch does not fit in memory'}")
-        timed = [name for name in self.environments if self.first_step and name in _FRESH]
+        timed = [name for name in self.environments if self.first_step and name in _WITH_FIRST_STEP]
         first = {name: self._first(name) for name in timed}
         _print(rows, first)
         settings = {"threads": self._threads(), "steps": self.steps, "repeats": self.repeats, "profile": "training"}
@@ -168,21 +162,27 @@ class BenchEnv:
 
     def _first(self, name: str) -> FirstStep:
         if name == "gym":
-            runs = [_fresh_process(_FRESH[name]) for _ in range(3)]
+            runs = [_fresh_process() for _ in range(3)]
             return FirstStep(median(imported for imported, _ in runs), median(step for _, step in runs))
         with tempfile.TemporaryDirectory(prefix="asimov-bench-") as cache:
-            arguments = (name.removeprefix("jax-"), str(max(self.copies)), cache)
-            (imported, step), (_, again) = (_fresh_process(_FRESH[name], *arguments) for _ in range(2))
+            engine, copies = name.removeprefix("jax-"), str(max(self.copies))
+            imported, step = _fresh_process(engine, copies, cache=cache)
+            again = median(_fresh_process(engine, copies, cache=cache)[1] for _ in range(3))
         return FirstStep(imported, step, again)
 
 
-def _fresh_process(code: str, *arguments: str) -> tuple[float, float]:
-    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+def _fresh_process(*arguments: str, cache: str | None = None) -> tuple[float, float]:
+    """Seconds of the import, and from there to the end of the first step."""
+    # With the settings of someone who has made none, and an empty cache folder.
+    variables = {name: value for name, value in os.environ.items() if not name.startswith(_CACHE_SETTINGS)}
+    variables["PYTHONPATH"] = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    if cache is not None:
+        variables["XDG_CACHE_HOME"] = cache
     done = subprocess.run(
-        [sys.executable, "-c", code, *arguments],
+        [sys.executable, "-c", _FIRST_STEP, *arguments],
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": path},
+        env=variables,
         check=True,
     )
     imported, step = json.loads(done.stdout.splitlines()[-1])
@@ -254,7 +254,8 @@ def _print(rows: Iterable[Throughput], first: dict[str, FirstStep]) -> None:
     for name, step in first.items():
         again = f" (goal: {FIRST_STEP_GOAL:g} s)"
         if step.cached_s is not None:
-            again = f", {step.cached_s:.2f} s from the compile cache"
+            share = step.cached_s / step.step_s
+            again = f", {step.cached_s:.2f} s the second time: {share:.0%} (goal: {SECOND_START_GOAL:.0%})"
         console.print(
             f"first step after the import ({ENVIRONMENTS[name]}): {step.step_s:.2f} s{again}; "
             f"the import {step.import_s:.2f} s",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
@@ -210,12 +210,12 @@ class FunctionalEnv(abc.ABC):
         return shares | {"diverged": diverged.astype(jnp.float32)}
 
     @cached_property
-    def compiled_reset(self) -> Callable[..., EnvState]:
+    def compiled_reset(self) -> jax.stages.Wrapped:
         """`jax.jit` of `reset`, compiled once for each shape of its arguments."""
         return jax.jit(self.reset)
 
     @cached_property
-    def compiled_step(self) -> Callable[..., EnvState]:
+    def compiled_step(self) -> jax.stages.Wrapped:
         """`jax.jit` of `step`, compiled once for each shape of its arguments."""
         return jax.jit(self.step)
 

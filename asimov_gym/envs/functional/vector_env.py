@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 
 from asimov_gym.envs.batch import check_action, check_options, masked_info, row
 from asimov_gym.envs.functional.env import FunctionalEnv
+from asimov_gym.envs.functional.kept_program import KeptProgram, identity
 from asimov_gym.envs.functional.state import EnvState
 from asimov_gym.envs.vector_env import seeds_of_copies
 from asimov_gym.physics.memory import batch_of
@@ -66,6 +67,8 @@ class FunctionalVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         self._on_device = arrays == "device"
         self._options = begin_options or {}
         self._state: EnvState | None = None
+        self._identity = identity(env)
+        self._programs: dict[tuple[str, ...], KeptProgram] = {}
 
     @property
     def state(self) -> EnvState:
@@ -101,7 +104,7 @@ class FunctionalVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
             seeds = seeds_of_copies(seed, self.num_envs, self.np_random)
             keys = jnp.asarray(np.stack([_key(s) for s in seeds]))
         with batch_of(self.num_envs):
-            state = self._state = self.functional.compiled_reset(keys, start)
+            state = self._state = self._program("reset", *sorted(start))(keys, start)
         everyone = np.ones(self.num_envs, dtype=bool)
         if self._on_device:
             return self._observation(state.obs["state"]), dict(state.info["now"]) | _privileged(state.obs)
@@ -124,8 +127,15 @@ class FunctionalVectorEnv(gym.vector.VectorEnv[Any, Any, Any]):
         else:
             action = jnp.asarray(check_action(actions, self.action_space.shape or ()))
         with batch_of(self.num_envs):
-            state = self._state = self.functional.compiled_step(before, action)
+            state = self._state = self._program("step")(before, action)
         return self._on_device_result(state) if self._on_device else self._numpy_result(state)
+
+    def _program(self, name: str, *options: str) -> KeptProgram:
+        """A function of the environment, for a reset with these options."""
+        if (name, *options) not in self._programs:
+            compiled = self.functional.compiled_reset if name == "reset" else self.functional.compiled_step
+            self._programs[name, *options] = KeptProgram(compiled, name, self._identity)
+        return self._programs[name, *options]
 
     def _on_device_result(self, state: EnvState) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         i, done = state.info, state.done > 0

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import export
 
 from asimov_gym.physics.c_physics import CPhysics
 from asimov_gym.physics.parameters import BodyParameters, ModelFigures
@@ -51,8 +52,14 @@ class Simulation:
 
 
 def register(cls: type) -> None:
-    """Let JAX look into a dataclass of arrays."""
+    """Let JAX look into a dataclass of arrays, and keep functions of it in files."""
     jax.tree_util.register_dataclass(cls, data_fields=[f.name for f in fields(cls)], meta_fields=[])
+    export.register_pytree_node_serialization(
+        cls,
+        serialized_name=f"{cls.__module__}.{cls.__qualname__}",
+        serialize_auxdata=lambda nothing: b"",
+        deserialize_auxdata=lambda nothing: (),
+    )
 
 
 for _cls in (Simulation, Reading, BodyParameters, JointTarget, PhysicsState):
