@@ -12,10 +12,11 @@ from recipe_page import Table, millions, time_on_two_cores
 
 from asimov_gym.evaluation.suite import load_suite
 from asimov_gym.evaluation.table import MISSING, counted, figure, number
-from asimov_gym.presets import to_mapping
+from asimov_gym.presets import from_mapping, to_mapping
 from train.ablation import Study, load_study, study_names
 from train.ablation_figures import FEWEST, FIGURES
 from train.ablation_result import AblationResult, Spread, VariantResult
+from train.config import PpoConfig
 
 PAGE = Path(__file__).resolve().parent / "ablation.md"
 HIDDEN = ("smoke",)
@@ -134,14 +135,21 @@ _CAPTION = prose(
 )
 
 
+def _measured_with(base: PpoConfig, result: AblationResult) -> bool:
+    """Whether these are the settings of the result, in which settings that did not exist yet have their default."""
+    try:
+        return from_mapping(PpoConfig, result.settings) == base
+    except ValueError:  # it has settings that do not exist any more
+        return False
+
+
 def _warnings(study: Study, result: AblationResult) -> list[str]:
     """What a reader of the figures must know first."""
     found = []
     if result.finished < result.planned:
         found.append(f"Not complete: {result.finished} of {result.planned} trainings.")
     found += [f"The training `{name}` broke: {reason}" for name, reason in result.failures.items()]
-    base = to_mapping(study.config(study.base).scaled(result.scale))
-    if result.study != to_mapping(study) or result.settings != base:
+    if result.study != to_mapping(study) or not _measured_with(study.config(study.base).scaled(result.scale), result):
         found.append("Measured with other settings than those of the study that is here now.")
     if result.scale != 1.0:
         found.append(f"Trained with {result.scale:g} times the study's samples.")

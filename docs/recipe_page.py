@@ -59,6 +59,8 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
             "track_yaw_rate_closely",
             "track_mean_velocity",
             "track_mean_yaw_rate",
+            "track_mean_velocity_exactly",
+            "track_mean_yaw_rate_exactly",
         ),
         Row("walk.mean_velocity_s", "time constant of that average, s"),
         *_rewards("alive", "tilt", "pose"),
@@ -138,7 +140,10 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
     ),
 }
 """Tables of settings on the page, by the name in their marker; what none of them names goes to one called `others`."""
-ABOUT_THE_RUN = {"library", "physics", "samples", "threads", "device", "checkpoint_s", "keep_checkpoints"}
+ABOUT_THE_RUN = {
+    *("library", "physics", "samples", "threads", "device", "checkpoint_s", "keep_checkpoints"),
+    "learner.critic_rounds",  # of runs that begin with a policy file, as no stage of a recipe does
+}
 """Settings that are not on the page: what is learned does not follow from them, or they are in the table of recipes."""
 
 

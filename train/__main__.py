@@ -114,7 +114,7 @@ def _ppo(arguments: list[str]) -> int:
         preset: str = "laptop"
         """Preset whose values are the defaults of all other flags."""
         warm_start: Path | None = None
-        """Run whose networks this one starts with."""
+        """Run whose networks this one starts with, or a policy file: its actor, and a critic that is learned anew."""
         resume: Path | None = None
         """Continue this run instead; other flags are ignored."""
         runs: Path = Path("runs")
@@ -129,7 +129,7 @@ def _ppo(arguments: list[str]) -> int:
     preset = load_preset(start.preset)
     if wants_help:
         print(f"Presets: {', '.join(preset_names())} (--preset NAME).")
-        print("Run: --name NAME, --runs DIR, --warm-start RUN, --resume RUN.\n")
+        print("Run: --name NAME, --runs DIR, --warm-start RUN|FILE, --resume RUN.\n")
     config = tyro.cli(
         PpoConfig, args=[*rest, *(["--help"] if wants_help else [])], default=preset, prog="python -m train ppo"
     )

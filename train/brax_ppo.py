@@ -69,6 +69,11 @@ class BraxTrainer(TrainingLoop):
             networks |= NetworkWeights.from_torch(learned[f"{name}_state_dict"]).to_brax(name)
         self.learned_now = self._learned(self.learned() | {"networks": networks})
 
+    def begin_with(self, actor: NetworkWeights) -> None:
+        now = self.learned()
+        # One count of observations serves both normalisers: the actor's holds, and the critic's begins with this round.
+        self.learned_now = self._learned(now | {"networks": now["networks"] | actor.to_brax("actor")})
+
     def learned(self) -> dict[str, Any]:
         now = self.learned_now
         return {"networks": named(_tree(now), value_here), "optimiser": named(now.optimiser, value_here)}

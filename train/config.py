@@ -18,6 +18,10 @@ LIBRARIES = ("brax", "rsl_rl")
 """Learners by the library that they are made of."""
 
 
+NEW_CRITIC_ROUNDS = 80
+"""`critic_rounds` of a run that begins with a policy file: two minutes on two cores."""
+
+
 @dataclass(frozen=True)
 class LearnerConfig:
     """Proximal policy optimisation."""
@@ -44,6 +48,9 @@ class LearnerConfig:
     """Samples between which the entropy bonus falls."""
     entropy: tuple[float, float] = (0.006, 0.001)
     """Entropy bonus before and after."""
+    critic_rounds: int | None = None
+    """First rounds, in which the critic learns and the actor stays as it is. When omitted: `NEW_CRITIC_ROUNDS` after a
+    warm start from a policy file, which holds no critic, and otherwise none."""
     averaged_rounds: int = 1
     """The exported policy has the mean of the actor's weights over about so many last rounds: see `train.averaging`."""
     symmetry: str = "network"
@@ -62,6 +69,8 @@ class LearnerConfig:
                 raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
         if self.warm_std is not None:
             check_interval("learner.warm_std", self.warm_std, 1e-3, 100.0)
+        if self.critic_rounds is not None and self.critic_rounds < 0:
+            raise ValueError(f"learner.critic_rounds must be at least 0, got {self.critic_rounds}")
         if self.symmetry not in ("network", "handed", "samples", "none"):
             raise ValueError(f"learner.symmetry must be network, handed, samples or none, got {self.symmetry!r}")
         if not self.hidden or min(self.hidden) < 1:
@@ -73,6 +82,14 @@ class LearnerConfig:
     def symmetric(self) -> bool:
         """Whether the networks are symmetric by construction, at least while walking."""
         return self.symmetry in ("network", "handed")
+
+    def teaches_actor(self, iteration: int) -> bool:
+        """Whether the actor learns in this round of a run, counted from 0."""
+        return iteration >= (self.critic_rounds or 0)
+
+    def begins_actor(self, iteration: int) -> bool:
+        """Whether this is the first round in which it does, after some in which it did not."""
+        return iteration == self.critic_rounds != 0
 
     def entropy_at(self, samples: int) -> float:
         """Entropy bonus after so many samples."""

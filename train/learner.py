@@ -120,6 +120,13 @@ class KeptMinibatches(RolloutStorage):
             yield from kept
 
 
+def set_learning_rate(algorithm: PPO, rate: float) -> None:
+    """Set what the learning rate adapts from."""
+    algorithm.learning_rate = rate
+    for group in algorithm.optimizer.param_groups:
+        group["lr"] = rate
+
+
 def build_ppo(
     batch: WalkBatch | FunctionalBatch, config: LearnerConfig, observations: TensorDict, ranks: Ranks | None = None
 ) -> PPO:

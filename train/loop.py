@@ -24,6 +24,10 @@ from train.ranks import Ranks
 from train.run_folder import RunFolder
 from train.weights import NetworkWeights, with_exploration
 
+CAUTIOUS_RATE = 1e-5
+"""Learning rate from which an actor that was held begins: its optimiser knows nothing yet of how far a step goes, and a
+large first one would undo what the actor can."""
+
 
 @dataclass
 class Progress:
@@ -101,6 +105,10 @@ class TrainingLoop(abc.ABC):
     @abc.abstractmethod
     def warm_start(self, other: RunFolder) -> None:
         """Begin with the networks of another run's newest checkpoint; its environment and counters stay behind."""
+
+    @abc.abstractmethod
+    def begin_with(self, actor: NetworkWeights) -> None:
+        """Begin with this actor and a new critic."""
 
     @abc.abstractmethod
     def untaught_shares(self) -> dict[str, float]:

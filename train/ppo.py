@@ -15,8 +15,8 @@ import torch
 from asimov_gym.envs.walk_batch import Curriculum, WalkBatch, WalkStep
 from train.config import PpoConfig
 from train.figures import round_figures, step_figures
-from train.learner import build_ppo, tensor, views
-from train.loop import TrainingLoop, checkpoint_of
+from train.learner import build_ppo, set_learning_rate, tensor, views
+from train.loop import CAUTIOUS_RATE, TrainingLoop, checkpoint_of
 from train.ranks import Ranks
 from train.run_folder import RunFolder
 from train.symmetry import MirrorSamples
@@ -80,6 +80,9 @@ class Trainer(TrainingLoop):
         for model, name in ((self.ppo.actor, "actor"), (self.ppo.critic, "critic")):
             model.load_state_dict(NetworkWeights.from_brax(learned, name).to_torch())
 
+    def begin_with(self, actor: NetworkWeights) -> None:
+        self.ppo.actor.load_state_dict(actor.to_torch())
+
     def learned(self) -> dict[str, Any]:
         return self.ppo.save()
 
@@ -124,6 +127,7 @@ class Trainer(TrainingLoop):
         if self.mirror is not None:
             self.mirror(self.ppo)
         self.ppo.entropy_coef = self.config.learner.entropy_at(self.progress.samples)
+        self._hold_actor()
         losses = self.ppo.update()
         self.count_round()
         result = {name: float(np.mean(values)) for name, values in figures.items()}
@@ -133,6 +137,16 @@ class Trainer(TrainingLoop):
         result = self.ranks.mean(result)
         result["physics/diverged"] *= self.ranks.count  # a number of copies
         return result
+
+    def _hold_actor(self) -> None:
+        """Let the actor learn in this round, or not: see `LearnerConfig.critic_rounds`."""
+        learner, round_number = self.config.learner, self.progress.iteration
+        teaches = learner.teaches_actor(round_number)
+        self.ppo.actor.requires_grad_(teaches)
+        self.ppo.schedule = "adaptive" if teaches else "fixed"
+        self.ppo.use_clipped_value_loss = teaches  # else a critic that knows nothing yet comes nearer by 0.2 a round
+        if learner.begins_actor(round_number):
+            set_learning_rate(self.ppo, CAUTIOUS_RATE)
 
     def step_untaught(self) -> WalkStep | FunctionalStep:
         """A step of the robots from which nothing is learned."""

@@ -9,7 +9,7 @@ import subprocess
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -17,6 +17,9 @@ from asimov_gym import presets
 from asimov_gym.robot.model import model_sha256
 from train.config import PpoConfig
 from train.hardware import machine
+
+if TYPE_CHECKING:
+    from train.policy_file import PolicyFile
 
 _CHECKPOINT = re.compile(r"checkpoint_(\d+)\.pt")
 
@@ -59,7 +62,7 @@ class RunFolder:
         preset: str,
         config: PpoConfig,
         name: str | None = None,
-        parent: RunFolder | None = None,
+        parent: RunFolder | PolicyFile | None = None,
         recipe: str | None = None,
         mean_of: Sequence[int] | None = None,
     ) -> RunFolder:
@@ -70,7 +73,7 @@ class RunFolder:
             preset: that the settings come from.
             config: settings.
             name: of the run; the preset's when None.
-            parent: run whose networks this one starts with.
+            parent: run or policy file whose networks this one starts with.
             recipe: command of the recipe or study that this run is a part of; the folder is then `root/<name>`.
             mean_of: where the run is a mean (see `train.mean_run`) of the parent and stages before it: their places in
                 the history, from 1 on.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -19,11 +20,12 @@ from asimov_gym.policy.contract import default_contract
 from asimov_gym.robot.observation import observation_layout
 from train.averaging import averaged
 from train.card import write_card
-from train.config import PpoConfig
+from train.config import NEW_CRITIC_ROUNDS, PpoConfig
 from train.export import export_onnx
 from train.hardware import check, settled
 from train.learner import load_actor
 from train.loop import TrainingLoop
+from train.policy_file import PolicyFile
 from train.ranks import Ranks
 from train.run_folder import RunFolder
 from train.weights import NetworkWeights
@@ -41,9 +43,14 @@ def start_run(
 ) -> int:
     """Train in a new run folder, from the networks of another run if one is given; returns the exit code.
 
-    `recipe` is the command of the recipe or study that this is a part of: see `RunFolder.create`.
+    `warm_start` is that run's folder, or a policy file: see `train.policy_file`. `recipe` is the command of the recipe
+    or study that this is a part of: see `RunFolder.create`.
     """
-    parent = None if warm_start is None else RunFolder(warm_start)
+    file = PolicyFile(warm_start) if warm_start is not None and warm_start.is_file() else None
+    parent = None if warm_start is None or file is not None else RunFolder(warm_start)
+    if file is not None and config.learner.critic_rounds is None:
+        config = replace(config, learner=replace(config.learner, critic_rounds=NEW_CRITIC_ROUNDS))
+    actor = None if file is None else file.actor(config)
     with Ranks.joined() as ranks:
         chosen, reason = ranks.from_first(lambda: settled(config))
         ranks = ranks.on(chosen.device)
@@ -51,7 +58,7 @@ def start_run(
             _console.print(f"learner {chosen.library} on physics {chosen.physics}: {reason}", highlight=False)
 
         def create() -> Path:
-            before = None if warm_start is None else RunFolder.open(warm_start)
+            before = file if parent is None else RunFolder.open(parent.path)
             return RunFolder.create(root, preset, chosen, name, before, recipe).path
 
         folder = RunFolder(ranks.from_first(create))
@@ -61,6 +68,10 @@ def start_run(
             trainer.console.print(f"{ranks.count} processes of {chosen.copies} copies each")
         if parent is not None:
             trainer.warm_start(parent)
+        if actor is not None:
+            trainer.begin_with(actor)
+            rounds = chosen.learner.critic_rounds
+            trainer.console.print(f"begins with the actor of {warm_start}; for {rounds} rounds only the critic learns")
         trainer.console.print(trainer.reward_table())
         complete = trainer.run()
     return _finish(folder, complete, ranks)

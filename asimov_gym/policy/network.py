@@ -25,14 +25,16 @@ class PolicyNetwork:
 
     def __init__(self, contract: PolicyContract, graph: Sequence[Any], constants: Mapping[str, np.ndarray]) -> None:
         self.contract = contract
-        self._graph = graph
-        self._constants = constants
+        self.graph = graph
+        """Its operations as ONNX nodes, in order."""
+        self.constants = constants
+        """Arrays that they take, by name."""
 
     def infer(self, observation: Any) -> Any:
         """Raw outputs (n, 23), float32, for observations (n, width)."""
         xp = namespace(observation)
-        values: dict[str, Any] = {**self._constants, INPUT: xp.astype(observation, xp.float32)}
-        for node in self._graph:
+        values: dict[str, Any] = {**self.constants, INPUT: xp.astype(observation, xp.float32)}
+        for node in self.graph:
             inputs = [values[name] if name else None for name in node.input]
             values[node.output[0]] = OPERATIONS[node.op_type](xp, _attributes(node), *inputs)
         return values[OUTPUT]

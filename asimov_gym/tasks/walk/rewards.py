@@ -111,6 +111,22 @@ def track_mean_yaw_rate(m: Motion) -> Any:
     return xp.exp(-error * error / 0.04)
 
 
+def track_mean_velocity_exactly(m: Motion) -> Any:
+    """Follow the commanded planar velocity on average over a gait cycle, the sharper the nearer. The other tracking
+    terms are flat where nothing is left to gain, and a little slowness buys comfort there; this one has a peak."""
+    xp = namespace(m.velocity)
+    error = m.mean_velocity[:, 0:2] - m.command[:, 0:2]
+    return xp.exp(-xp.sqrt(squares(error)) / 0.1)
+
+
+def track_mean_yaw_rate_exactly(m: Motion) -> Any:
+    """Follow the commanded turning rate on average over a gait cycle, the sharper the nearer: see
+    `track_mean_velocity_exactly`."""
+    xp = namespace(m.velocity)
+    error = m.mean_velocity[:, 2] - m.command[:, 2]
+    return xp.exp(-xp.abs(error) / 0.2)
+
+
 def capture(m: Motion) -> Any:
     """Bring the feet under where the pelvis is thrown: the point at which a walker must step to come to rest again
     (Pratt et al. 2006, Humanoids), as seen from the commanded velocity, should lie between them."""
@@ -256,6 +272,8 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
             track_yaw_rate_closely,
             track_mean_velocity,
             track_mean_yaw_rate,
+            track_mean_velocity_exactly,
+            track_mean_yaw_rate_exactly,
             capture,
             alive,
             foot_height,
