@@ -84,24 +84,29 @@ class BraxPpo:
         adam = optax.inject_hyperparams(optax.adam)(learning_rate=config.learning_rate)
         clip: Any = lambda gradient, _: _clipped(gradient)  # noqa: E731
         self._optimiser = optax.chain(optax.stateless(clip), adam)
-        loss: Any = partial(
-            losses.compute_ppo_loss,
-            ppo_network=self.networks,
-            discounting=config.gamma,
-            gae_lambda=config.lam,
-            clipping_epsilon=config.clip,
-            clipping_epsilon_value=config.clip,
-            vf_coefficient=_VALUE_WEIGHT,
-        )
-        # No axis of devices: their data are one array here, and every mean goes over all of it.
-        self._gradient = gradients.loss_and_pgrad(loss, pmap_axis_name=None, has_aux=True)
+        self._gradient = self._gradient_of_loss(config.clip)
+        # Unclipped: a critic that knows nothing yet would come nearer by `clip` a round.
+        self._critic_gradient = self._gradient_of_loss(None)
         each = devices.on_each
         self._shuffle = each(self._shuffled, (DIVIDED, SAME), jax.sharding.PartitionSpec(None, AXIS))
         self._reset = jax.jit(each(self._first_states, (SAME,), DIVIDED))
         self._collect = jax.jit(each(self._collected, (SAME, DIVIDED, SAME), (DIVIDED, DIVIDED, SAME)))
         same = devices.everywhere
-        self._learn = jax.jit(self._improved, donate_argnums=0, out_shardings=(same, same))
+        self._learn = jax.jit(self._improved, static_argnums=4, donate_argnums=0, out_shardings=(same, same))
         self._start = jax.jit(self._fresh, out_shardings=same)
+
+    def _gradient_of_loss(self, value_clip: float | None) -> Any:
+        loss: Any = partial(
+            losses.compute_ppo_loss,
+            ppo_network=self.networks,
+            discounting=self.config.gamma,
+            gae_lambda=self.config.lam,
+            clipping_epsilon=self.config.clip,
+            clipping_epsilon_value=value_clip,
+            vf_coefficient=_VALUE_WEIGHT,
+        )
+        # No axis of devices: their data are one array here, and every mean goes over all of it.
+        return gradients.loss_and_pgrad(loss, pmap_axis_name=None, has_aux=True)
 
     # -- what a run does -----------------------------------------------------------------------------------------------
 
@@ -129,7 +134,7 @@ class BraxPpo:
             return self._collect(learned, state, self._key(number, 0))
 
     def learn(
-        self, learned: Learned, data: types.Transition, number: int, entropy: float
+        self, learned: Learned, data: types.Transition, number: int, entropy: float, actor: bool = True
     ) -> tuple[Learned, dict[str, Any]]:
         """Learn from a round; what is handed in is used up.
 
@@ -138,13 +143,20 @@ class BraxPpo:
             data: what `collect` returned.
             number: of the round.
             entropy: weight of the entropy bonus.
+            actor: whether the actor learns too; otherwise the critic alone, and the learning rate stays.
 
         Returns:
             What is learned now, and means over the minibatches: `value`, `surrogate`, `entropy`, `learning_rate`, and
             the exploration's `std`.
         """
         with jax.default_matmul_precision("highest"):
-            return self._learn(learned, data, self._key(number, 1), np.float32(entropy))
+            return self._learn(learned, data, self._key(number, 1), np.float32(entropy), actor)
+
+    def at_rate(self, learned: Learned, rate: float) -> Learned:
+        """The same, with another learning rate to adapt from."""
+        *before, adam = learned.optimiser
+        adapting = {**adam.hyperparams, "learning_rate": self.devices.same(np.float32(rate))}
+        return replace(learned, optimiser=(*before, adam._replace(hyperparams=adapting)))
 
     def _key(self, number: int, purpose: int) -> np.ndarray:
         """Of a round, from -1 on."""
@@ -200,7 +212,7 @@ class BraxPpo:
         return step_figures(state.reward, info["terminated"], info["diverged"], error, shares)
 
     def _improved(
-        self, learned: Learned, data: types.Transition, key: jax.Array, entropy: jax.Array
+        self, learned: Learned, data: types.Transition, key: jax.Array, entropy: jax.Array, actor: bool
     ) -> tuple[Learned, dict[str, Any]]:
         for_mirror, for_epochs = jax.random.split(key)
         normaliser = learned.normaliser
@@ -211,8 +223,13 @@ class BraxPpo:
 
         def minibatch(carry: Any, part: types.Transition) -> tuple[Any, Any]:
             params, state = carry
-            (_, metrics), gradient = self._gradient(params, normaliser, part, key, entropy_cost=entropy)
-            state, rate = optimizer.adaptive_kl_learning_rate(state, metrics["kl_mean"], self.config.desired_kl)
+            of_loss = self._gradient if actor else self._critic_gradient
+            (_, metrics), gradient = of_loss(params, normaliser, part, key, entropy_cost=entropy)
+            if actor:
+                state, rate = optimizer.adaptive_kl_learning_rate(state, metrics["kl_mean"], self.config.desired_kl)
+            else:
+                gradient = gradient.replace(policy=jax.tree.map(jnp.zeros_like, gradient.policy))
+                rate = state[-1].hyperparams["learning_rate"]
             change, state = self._optimiser.update(gradient, state)
             figures = {"value": metrics["v_loss"], "surrogate": metrics["policy_loss"], "learning_rate": rate}
             return (optax.apply_updates(params, change), state), figures

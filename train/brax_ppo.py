@@ -6,6 +6,7 @@ With several ranks, or several devices of one, each device collects from robots 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 from asimov_gym.envs.functional import FunctionalWalk
@@ -18,11 +19,14 @@ from train.brax_learner import BraxPpo, Learned
 from train.config import PpoConfig
 from train.devices import Devices, rows_here, value_here
 from train.figures import round_figures
-from train.loop import TrainingLoop, checkpoint_of
+from train.loop import CAUTIOUS_RATE, TrainingLoop, checkpoint_of
 from train.ranks import Ranks
 from train.run_folder import RunFolder
 from train.trees import filled, named
 from train.weights import VIEWS, NetworkWeights
+
+_KNOWN_SAMPLES = 1_000_000
+"""How many observations the normaliser counts as seen at most, where the actor is that of a policy file."""
 
 
 class BraxTrainer(TrainingLoop):
@@ -71,8 +75,9 @@ class BraxTrainer(TrainingLoop):
 
     def begin_with(self, actor: NetworkWeights) -> None:
         now = self.learned()
-        # One count of observations serves both normalisers: the actor's holds, and the critic's begins with this round.
-        self.learned_now = self._learned(now | {"networks": now["networks"] | actor.to_brax("actor")})
+        # One count serves both normalisers. With the actor's own, the critic's, which is new, would never get anywhere.
+        known = replace(actor, samples=min(actor.samples, _KNOWN_SAMPLES))
+        self.learned_now = self._learned(now | {"networks": now["networks"] | known.to_brax("actor")})
 
     def learned(self) -> dict[str, Any]:
         now = self.learned_now
@@ -115,8 +120,11 @@ class BraxTrainer(TrainingLoop):
         state, data, figures = self.ppo.collect(self.learned_now, self.state, number)
         jax.block_until_ready(state)
         collected = time.monotonic()
-        entropy = self.config.learner.entropy_at(self.progress.samples)
-        self.learned_now, report = self.ppo.learn(self.learned_now, data, number, entropy)
+        learner = self.config.learner
+        if learner.begins_actor(number):
+            self.learned_now = self.ppo.at_rate(self.learned_now, CAUTIOUS_RATE)
+        entropy, teaches = learner.entropy_at(self.progress.samples), learner.teaches_actor(number)
+        self.learned_now, report = self.ppo.learn(self.learned_now, data, number, entropy, teaches)
         self.state = jax.block_until_ready(state)
         figures, report = jax.tree.map(lambda a: float(value_here(a)), (figures, report))
         learned = time.monotonic()
