@@ -119,6 +119,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("walk.shove.duration_s", "a shove lasts, s"),
         Row("walk.shove.interval_s", "from one shove to the next, s"),
         Row("walk.shove.pace_at_rest", "at rest that time passes so many times as fast"),
+        Row("walk.calm_share", "share of episodes without a kick or shove; their advantages are scaled by themselves"),
         Row("walk.thrown_speed", "a standing robot faster than this may step, m/s"),
         *_rewards("capture"),
     ),

@@ -117,6 +117,11 @@ class FunctionalBatch:
         )
         return after, step
 
+    @property
+    def calm(self) -> jax.Array:
+        """Copies whose episode nothing disturbs, (N,) bool."""
+        return self.task.is_calm(self.state.pipeline_state.task)
+
     # -- curriculum ----------------------------------------------------------------------------------------------------
 
     def advance_curriculum(self) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import torch.distributed as dist
 from rsl_rl.algorithms import PPO
 from rsl_rl.models import MLPModel
 from rsl_rl.modules.distribution import GaussianDistribution
@@ -21,6 +20,7 @@ from asimov_gym.envs.walk_batch import WalkBatch
 from asimov_gym.robot.joints import POLICY_JOINT_NAMES
 from asimov_gym.robot.mirror import Mirror, mirror_policy
 from asimov_gym.robot.observation import ObservationLayout
+from train.advantages import GroupPpo
 from train.config import LearnerConfig
 from train.linear import use_onednn
 from train.ranks import Ranks
@@ -88,27 +88,6 @@ def load_actor(config: LearnerConfig, layout: ObservationLayout, weights: dict[s
     return actor.eval()
 
 
-class RanksPpo(PPO):
-    """PPO over the samples of all ranks.
-
-    rsl-rl averages gradients, the KL divergence and the normaliser's figures, but scales the advantages of each rank to
-    unit variance by themselves. Here they are scaled together, as those of one large batch would be.
-    """
-
-    def compute_returns(self, obs: TensorDict) -> None:
-        """As rsl-rl's; see there."""
-        super().compute_returns(obs)
-        st = self.storage
-        raw = (st.returns - st.values).double()
-        sums = torch.stack([raw.sum(), torch.tensor(float(raw.numel()), dtype=raw.dtype, device=raw.device)])
-        dist.all_reduce(sums)
-        mean = sums[0] / sums[1]
-        spread = (raw - mean).square().sum()
-        dist.all_reduce(spread)
-        std = (spread / (sums[1] - 1.0)).sqrt()
-        st.advantages = ((raw - mean) / (std + 1e-8)).float()
-
-
 class KeptMinibatches(RolloutStorage):
     """rsl-rl's storage, which hands out the same minibatches in every epoch and gathers them anew each time; here they
     are gathered once."""
@@ -129,7 +108,7 @@ def set_learning_rate(algorithm: PPO, rate: float) -> None:
 
 def build_ppo(
     batch: WalkBatch | FunctionalBatch, config: LearnerConfig, observations: TensorDict, ranks: Ranks | None = None
-) -> PPO:
+) -> GroupPpo:
     """The algorithm with fresh networks for a batch of robots.
 
     Args:
@@ -146,7 +125,7 @@ def build_ppo(
         "actor": _actor(config, batch.task.layout.mirror),
         "critic": _model(config, batch.task.privileged_mirror, None),
         "algorithm": {
-            "class_name": PPO if ranks.count == 1 else RanksPpo,
+            "class_name": GroupPpo,
             "num_learning_epochs": config.epochs,
             "num_mini_batches": config.minibatches,
             "gamma": config.gamma,
@@ -162,7 +141,7 @@ def build_ppo(
         },
     }
     with redirect_stdout(io.StringIO()):  # rsl-rl prints its networks
-        algorithm = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, ranks.device)  # type: ignore[arg-type]
+        algorithm: GroupPpo = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, ranks.device)  # type: ignore[arg-type]
     size = [len(POLICY_JOINT_NAMES)]
     algorithm.storage = KeptMinibatches("rl", batch.copies, config.steps, observations, size, ranks.device)
     for model in (algorithm.actor, algorithm.critic):

@@ -110,9 +110,12 @@ class Trainer(TrainingLoop):
 
     def iterate(self) -> dict[str, float]:
         figures: dict[str, list[Any]] = defaultdict(list)
+        calm: list[torch.Tensor] = []
         device, began = self.ranks.device, time.monotonic()
         with torch.inference_mode():
             for _ in range(self.config.learner.steps):
+                if self.config.walk.calm_share > 0.0:
+                    calm.append(tensor(self.batch.calm, device))
                 step = self._step(self.ppo.act(self.observations))
                 self.batch.advance_curriculum()
                 self.observations = views(step.observation, step.privileged, device)
@@ -122,6 +125,7 @@ class Trainer(TrainingLoop):
                 for name, value in self._figures(step).items():
                     figures[name].append(value)
             collected = time.monotonic()
+            self.ppo.calm = torch.stack(calm) if calm else None
             self.ppo.compute_returns(self.observations)
         self.batch.curriculum = Curriculum(**self.ranks.mean(vars(self.batch.curriculum)))
         if self.mirror is not None:

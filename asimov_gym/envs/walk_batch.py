@@ -275,6 +275,11 @@ class WalkBatch:
             clipped=int((clipped_action != wanted).sum()),
         )
 
+    @property
+    def calm(self) -> np.ndarray:
+        """Copies whose episode nothing disturbs, (N,) bool."""
+        return self.task.is_calm(self.state)
+
     def set_command(self, command: np.ndarray, steps: int | None = None) -> None:
         """Fix the velocity command of all copies, (3,) or (N, 3), for `steps` policy steps or for good."""
         lifetime = np.full(self.copies, _FOREVER if steps is None else steps)

@@ -214,6 +214,9 @@ class WalkConfig:
     thrown_speed: float = 100.0
     """A robot that is asked to stand and moves faster than this, m/s, was thrown off: until it is slower it may step,
     and no term for standing counts. By default none ever is."""
+    calm_share: float = 0.0
+    """Share of the episodes in which nothing disturbs the robot, neither kick nor shove. What such an episode says of
+    exact walking is not drowned by what a shove costs: see `train.advantages`."""
     command: CommandConfig = field(default_factory=CommandConfig)
     noise: NoiseConfig = field(default_factory=NoiseConfig)
     randomisation: RandomisationConfig = field(default_factory=RandomisationConfig)
@@ -234,6 +237,7 @@ class WalkConfig:
         check_range("action_clip", self.action_clip, 0.1, 100.0)
         check_range("step_height", self.step_height, 0.0, 0.3)
         check_range("mean_velocity_s", self.mean_velocity_s, 0.02, 10.0)
+        check_range("calm_share", self.calm_share, 0.0, 1.0)
         check_range("thrown_speed", self.thrown_speed, 0.0, 100.0)
         from asimov_gym.tasks.walk.rewards import TERMS
 

@@ -13,6 +13,8 @@ from asimov_gym.tasks.walk.config import CommandConfig, KickConfig, Randomisatio
 
 _JOINTS = len(JOINT_NAMES)
 
+NEVER = 2**30
+"""Policy steps to a kick or shove that does not come: eight months."""
 DT = TIMESTEP * DECIMATION
 """Policy step, s."""
 
@@ -26,6 +28,21 @@ def steps_between(draw: Any, seconds: tuple[float, float]) -> Any:
     """Whole policy steps from draws in [0, 1), for a time in an interval of seconds."""
     xp = namespace(draw)
     return xp.astype(xp.round(between(draw, seconds) / DT), integer(xp))
+
+
+def until_disturbed(draw: Any, seconds: tuple[float, float], calm_share: float, calm: Any) -> Any:
+    """Policy steps until the first disturbance of an episode, (N,): `NEVER` where it is calm.
+
+    Args:
+        draw: in [0, 1), for the time where it is not; calm episodes take the lower part of those that decided on them.
+        seconds: interval of that time.
+        calm_share: share of calm episodes, where `draw` is what decided; 0 otherwise.
+        calm: which are, (N,) bool.
+    """
+    xp = namespace(draw)
+    left = draw if calm_share == 0.0 else xp.clip((draw - calm_share) / max(1.0 - calm_share, 1e-6), 0.0, 1.0)
+    steps = steps_between(left, seconds)
+    return xp.where(calm, NEVER * xp.ones_like(steps), steps)
 
 
 def draw_command(config: CommandConfig, draws: Any) -> tuple[Any, Any]:
