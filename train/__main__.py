@@ -1,4 +1,4 @@
-"""`python -m train ppo | recipe | ablation | resume | average | export | card`: make the MOVE/POLICY network."""
+"""`python -m train ppo | recipe | ablation | resume | average | calibrate | export | card`: the MOVE/POLICY network."""
 
 from __future__ import annotations
 
@@ -50,6 +50,15 @@ class Average:
     """Name of the new run."""
     root: Annotated[Path, tyro.conf.arg(name="runs")] = Path("runs")
     """Folder that holds the runs."""
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Measure which velocities follow a run's commands, and put the correction into its policy file as a first layer.
+    Training goes on without it: calibrate again afterwards."""
+
+    run: tyro.conf.Positional[Path]
+    """Folder of the run."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +168,12 @@ def _average(arguments: list[str]) -> int:
     return export_run(folder.path, None)
 
 
+def _calibrate(arguments: list[str]) -> int:
+    from train.session import calibrate_run
+
+    return calibrate_run(tyro.cli(Calibrate, args=arguments, prog="python -m train calibrate").run)
+
+
 def _card(arguments: list[str]) -> int:
     from train.session import write_run_card
 
@@ -207,6 +222,7 @@ _COMMANDS = {
     "ablation": _ablation,
     "resume": _resume,
     "average": _average,
+    "calibrate": _calibrate,
     "export": _export,
     "card": _card,
 }
@@ -216,12 +232,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command and return its exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: python -m train {ppo,recipe,ablation,resume,average,export,card} [flags]\n")
+        print("usage: python -m train {ppo,recipe,ablation,resume,average,calibrate,export,card} [flags]\n")
         print("  ppo       train a walking policy (see: python -m train ppo --help)")
         print("  recipe    make a policy from nothing, in several stages (alone: lists the recipes)")
         print("  ablation  find out what each ingredient is worth (alone: lists the studies)")
         print("  resume    continue a run from its newest checkpoint")
         print("  average   make a run of the mean of successive runs' networks")
+        print("  calibrate let a run's policy do what commands ask, instead of a little less")
         print("  export    write a run's network as ONNX")
         print("  card      evaluate a run's network and write its card")
         return 0 if arguments else 2

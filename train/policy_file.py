@@ -13,6 +13,7 @@ from asimov_gym.policy import load_policy
 from asimov_gym.policy.network import PolicyNetwork, read_network
 from asimov_gym.policy.runner import PolicyFileError, PolicyRunner
 from asimov_gym.robot.observation import observation_layout
+from train.calibration import CALIBRATION_LAYERS
 from train.config import PpoConfig
 from train.export import realistic_observations
 from train.learner import load_actor
@@ -53,6 +54,8 @@ class PolicyFile:
     def actor(self, config: PpoConfig) -> NetworkWeights:
         """Its actor, for a run with these settings.
 
+        Its command calibration, where it has one, stays behind: another actor needs another one.
+
         How widely it explored is not in the file: it is `learner.initial_std`, within `learner.warm_std`. Its
         normaliser has seen as much as the history says, so that it hardly moves any more.
 
@@ -74,8 +77,12 @@ class PolicyFile:
             raise PolicyFileError(
                 f"{self.path}: the hidden layers are {widths} there, and learner.hidden is {config.learner.hidden}"
             )
-        actor = load_actor(config.learner, observation_layout(walk.layout), weights.to_torch())
+        layout = observation_layout(walk.layout)
+        actor = load_actor(config.learner, layout, weights.to_torch())
         observations = realistic_observations(contract, 200, 0)
+        # At rest, where no calibration changes anything.
+        for name in ("command", "clock"):
+            observations[:, layout.slices.get(name, slice(0))] = 0.0
         with torch.inference_mode():
             answered = actor.as_onnx(verbose=False)(torch.from_numpy(observations)).numpy()
         expected = self._runner.infer(observations)
@@ -91,6 +98,8 @@ class PolicyFile:
         layers: list[tuple[np.ndarray, np.ndarray]] = []
         mean = scale = None
         for node in nodes:
+            if any(CALIBRATION_LAYERS in name for name in node.input):
+                continue
             known = [constants[name] for name in node.input if name in constants]
             if node.op_type == "Gemm" and len(known) == 2:
                 straight = any(a.name == "transB" and a.i for a in node.attribute)

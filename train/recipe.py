@@ -52,6 +52,8 @@ class Recipe:
     """Settings of all stages that differ from the presets'; a stage's own come on top."""
     averaged_stages: int = 1
     """The result is the mean of the networks that so many last stages end with: see `train.mean_run`."""
+    calibrated: bool = False
+    """Its commands are calibrated: see `train.calibration`."""
     gpu: bool = False
     """Whether it is meant for an NVIDIA GPU, and refused without one."""
 

@@ -20,7 +20,7 @@ from train.mean_run import average_runs
 from train.planned_run import STOPPED, WAY_OUT, PlannedRun, processes
 from train.recipe import Recipe, Stage
 from train.run_folder import RunFolder
-from train.session import export_run, write_run_card
+from train.session import calibrate_run, calibration_of, export_run, write_run_card
 
 _console = Console(soft_wrap=True, highlight=False, force_jupyter=False)
 
@@ -111,6 +111,8 @@ class RecipeRun:
         if self.recipe.averaged_stages > 1:
             earlier, result = [*earlier, last], self._mean().path
         policy = result / "policy.onnx"
+        if self.recipe.calibrated and calibration_of(RunFolder(result)) is None:
+            calibrate_run(result)
         if not policy.is_file():  # killed in between
             export_run(result, policy)
         code = write_run_card(result, policy, None, self._suite_name, earlier)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import Progress, TaskID
@@ -19,6 +21,7 @@ from asimov_gym.policy import PolicyRunner, load_policy
 from asimov_gym.policy.contract import default_contract
 from asimov_gym.robot.observation import observation_layout
 from train.averaging import averaged
+from train.calibration import Calibration, fit, measure
 from train.card import write_card
 from train.config import NEW_CRITIC_ROUNDS, PpoConfig
 from train.export import export_onnx
@@ -30,6 +33,8 @@ from train.ranks import Ranks
 from train.run_folder import RunFolder
 from train.weights import NetworkWeights
 
+CALIBRATION_FILE = "calibration.json"
+"""In the folder of a run that was calibrated."""
 _console = Console(soft_wrap=True, highlight=False, force_jupyter=False)
 
 
@@ -127,11 +132,50 @@ def _finish(folder: RunFolder, complete: bool, ranks: Ranks) -> int:
     return export_run(folder.path, None)
 
 
-def export_run(path: Path, output: Path | None) -> int:
-    """Export the newest checkpoint of a run as ONNX; returns the exit code."""
+def calibration_of(folder: RunFolder) -> Calibration | None:
+    """The command calibration of a run's newest checkpoint; None where there is none, or only one of an older one."""
+    path = folder.path / CALIBRATION_FILE
+    if not path.is_file():
+        return None
+    calibration = Calibration.load(path)
+    return calibration if calibration.samples == folder.load_checkpoint()["progress"]["samples"] else None
+
+
+def calibrate_run(path: Path) -> int:
+    """Measure what a run's policy makes of commands, correct them in it, and export it; returns the exit code."""
+    folder = RunFolder.open(path)
+    samples = folder.load_checkpoint()["progress"]["samples"]
+    with tempfile.TemporaryDirectory() as place:
+        bare = Path(place) / "policy.onnx"
+        export_run(path, bare, calibrated=False)
+        policy = load_policy(bare)
+        with Progress(console=_console, transient=True) as bar:
+            task = bar.add_task("walking with constant commands", total=1.0)
+            measured = measure(policy.infer, policy.contract, progress=lambda share: bar.update(task, completed=share))
+    calibration = fit(measured, policy.contract, samples)
+    calibration.save(folder.path / CALIBRATION_FILE)
+    for what, unit, before, after in zip(
+        ("velocity", "yaw rate"), ("m/s", "rad/s"), calibration.before, calibration.after, strict=True
+    ):
+        _console.print(f"{what} off by {before:.3f} {unit}, with the calibration {after:.3f} (commands held back)")
+    return export_run(path, None)
+
+
+def _after(first: torch.nn.Module, trained: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    def run(observations: np.ndarray) -> np.ndarray:
+        with torch.inference_mode():
+            return trained(first(torch.from_numpy(observations)).numpy())
+
+    return run
+
+
+def export_run(path: Path, output: Path | None, calibrated: bool = True) -> int:
+    """Export the newest checkpoint of a run as ONNX, with its command calibration where it has one and `calibrated`;
+    returns the exit code."""
     folder = RunFolder.open(path)
     config, origin, state = folder.config(), folder.origin(), folder.load_checkpoint()
     walk, samples = config.walk, state["progress"]["samples"]
+    calibration = calibration_of(folder) if calibrated else None
     contract = default_contract(
         layout=walk.layout,
         action_scale=walk.action_scale,
@@ -147,6 +191,7 @@ def export_run(path: Path, output: Path | None) -> int:
             "seconds": round(state["progress"]["seconds"]),
             "after": origin["after"],
             **({"mean_of": origin["mean_of"]} if "mean_of" in origin else {}),
+            **({} if calibration is None else {"calibration": calibration.note()}),
         },
     )
     layout, learned, trained = observation_layout(walk.layout), state["learner"], None
@@ -160,8 +205,13 @@ def export_run(path: Path, output: Path | None) -> int:
     else:
         weights = learned["actor_state_dict"] if mean is None else mean.to_torch()
     actor = load_actor(config.learner, layout, weights)
-    report = export_onnx(actor, contract, output or folder.path / "policy.onnx", trained=trained)
+    first = None
+    if calibration is not None:
+        first = calibration.module(walk.layout, walk.standing_threshold)
+        trained = None if trained is None else _after(first, trained)
+    report = export_onnx(actor, contract, output or folder.path / "policy.onnx", normaliser=first, trained=trained)
     made = f"a mean of {len(origin['mean_of'])} runs" if "mean_of" in origin else f"after {samples / 1e6:.2f}M samples"
+    made += "" if calibration is None else ", commands calibrated"
     _console.print(
         f"exported {report.path}, {made}; largest difference from the trained network on "
         f"{report.samples} observations: {report.difference:.1e}"

@@ -19,7 +19,7 @@ from train.recipe import load_recipe, recipe_names
         ("", "Recipe must be a mapping, got None"),
         ("[1, 2]", "Recipe must be a mapping, got [1, 2]"),
         ("about: [unclosed", "is not valid YAML"),
-        ("about: x\n", "Recipe lacks stages; known keys: about, stages, name, overrides, averaged_stages, gpu"),
+        ("about: x\n", "Recipe lacks stages; known keys: about, stages, name, overrides, averaged_stages, calibrated, gpu"),
         ("about: x\nstages: []", "stages must hold 1 to 99 stages, got 0"),
         ("about: x\nstages: 3", "stages must be a list, got 3"),
         ("about: x\nstages: [walk]", "stages[0] must be a mapping, got 'walk'"),
