@@ -133,6 +133,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("learner.gamma", "discount"),
         Row("learner.lam", "λ of the advantages"),
         Row("learner.learning_rate", "first learning rate"),
+        Row("learner.critic_rate", "rate of the critic, where it has its own"),
         Row("learner.desired_kl", "KL divergence that it adapts to"),
         Row("learner.clip", "clip of the likelihood ratio"),
         Row("learner.initial_std", "exploration of a new network"),
@@ -189,6 +190,8 @@ def _recipes(table: Table) -> str:
             )
         if recipe.averaged_stages > 1:
             rows.append(["", f"the mean of the last {recipe.averaged_stages} networks", "", "", "", "seconds"])
+        if recipe.calibrated:
+            rows.append(["", "commands calibrated", "", "", "", "minutes"])
         rows.append(["", "**together**", "", millions(recipe.samples), "", time_on_two_cores(*recipe.configs)])
     return table(["recipe", "stage", "preset", "samples", "robots", "two cores"], rows)
 

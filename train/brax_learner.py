@@ -84,7 +84,7 @@ class BraxPpo:
         adam = optax.inject_hyperparams(optax.adam)(learning_rate=config.learning_rate)
         clip: Any = lambda gradient, _: _clipped(gradient)  # noqa: E731
         self._optimiser = optax.chain(optax.stateless(clip), adam)
-        self._gradient = self._gradient_of_loss(config.clip)
+        self._gradient = self._gradient_of_loss(config.clip if config.critic_rate is None else None)
         # Unclipped: a critic that knows nothing yet would come nearer by `clip` a round.
         self._critic_gradient = self._gradient_of_loss(None)
         each = devices.on_each
@@ -231,6 +231,9 @@ class BraxPpo:
                 gradient = gradient.replace(policy=jax.tree.map(jnp.zeros_like, gradient.policy))
                 rate = state[-1].hyperparams["learning_rate"]
             change, state = self._optimiser.update(gradient, state)
+            if self.config.critic_rate is not None:  # Adam's steps are proportional to the rate
+                share = self.config.critic_rate / rate
+                change = change.replace(value=jax.tree.map(lambda a: share * a, change.value))
             figures = {"value": metrics["v_loss"], "surrogate": metrics["policy_loss"], "learning_rate": rate}
             return (optax.apply_updates(params, change), state), figures
 

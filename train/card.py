@@ -12,6 +12,7 @@ from asimov_gym.evaluation.card import CardFigures
 from asimov_gym.evaluation.report import markdown, summary
 from asimov_gym.evaluation.results import SuiteResult
 from asimov_gym.policy import PolicyRunner
+from asimov_gym.policy.contract import PolicyContract
 from train.hardware import machine
 from train.run_folder import RunFolder
 
@@ -135,7 +136,7 @@ def write_card(
 | network | {" × ".join(map(str, config.learner.hidden))} ELU, normaliser inside |
 | gait clock | {contract.gait_frequency_hz} Hz |
 | trained commands | {ranges} |
-| robot | {contract.robot_revision}, model `{(contract.model_sha256 or "")[:12]}` |
+{_calibration(contract)}| robot | {contract.robot_revision}, model `{(contract.model_sha256 or "")[:12]}` |
 
 ## Training
 
@@ -169,6 +170,18 @@ def _stage(number: int, stage: Mapping[str, Any]) -> str:
     else:
         what, samples, minutes = f"`{stage['preset']}`", f"{stage['samples']:,}", f"{stage['seconds'] / 60:.0f}"
     return f"| {number} | {what} | {samples} | {minutes} | `{stage['commit']}` |"
+
+
+def _calibration(contract: PolicyContract) -> str:
+    """A row on the calibration of the commands, where there is one: see `train.calibration`."""
+    known = (contract.training or {}).get("calibration")
+    if known is None:
+        return ""
+    (planar, turning), (planar_after, turning_after) = known["before"], known["after"]
+    return (
+        f"| commands | calibrated with {known['commands']} walks: off by {planar:.3f} m/s and {turning:.3f} rad/s "
+        f"before, {planar_after:.3f} and {turning_after:.3f} after, on walks that were held back |\n"
+    )
 
 
 def _how_it_was_made(folder: RunFolder) -> str:

@@ -42,6 +42,10 @@ class LearnerConfig:
     lam: float = 0.95
     learning_rate: float = 1e-3
     """First learning rate; it adapts to `desired_kl`."""
+    critic_rate: float | None = None
+    """Learning rate of the critic, whose loss is then not clipped; when omitted that of the actor, and the loss is
+    clipped by `clip`. Where the actor explores little its rate falls to 1e-5, and a critic that learns as slowly does
+    not see what an action is worth a few steps later: the policy forgets how fast it walks."""
     desired_kl: float = 0.012
     clip: float = 0.2
     entropy_samples: tuple[float, ...] = (6.0e6, 8.0e6)
@@ -67,6 +71,8 @@ class LearnerConfig:
         for name in ("initial_std", "learning_rate", "desired_kl", "clip"):
             if not 0.0 < getattr(self, name) < 100.0:
                 raise ValueError(f"learner.{name} must lie in (0, 100), got {getattr(self, name)}")
+        if self.critic_rate is not None:
+            check_range("learner.critic_rate", self.critic_rate, 1e-6, 1.0)
         if self.warm_std is not None:
             check_interval("learner.warm_std", self.warm_std, 1e-3, 100.0)
         if self.critic_rounds is not None and self.critic_rounds < 0:

@@ -99,6 +99,20 @@ class KeptMinibatches(RolloutStorage):
             yield from kept
 
 
+class PairedAdam(torch.optim.Adam):
+    """Adam for an actor, whose rate PPO adapts, and a critic with a rate of its own."""
+
+    def __init__(self, actor: torch.nn.Module, critic: torch.nn.Module, rate: float, critic_rate: float) -> None:
+        groups = [{"params": list(actor.parameters())}, {"params": list(critic.parameters()), "own_rate": critic_rate}]
+        super().__init__(groups, lr=rate)
+
+    def step(self, closure: Any = None) -> Any:
+        """A step, with the rates as they are to be: rsl-rl sets one for all groups."""
+        for group in self.param_groups:
+            group["lr"] = group.get("own_rate", group["lr"])
+        return super().step(closure)
+
+
 def set_learning_rate(algorithm: PPO, rate: float) -> None:
     """Set what the learning rate adapts from."""
     algorithm.learning_rate = rate
@@ -144,6 +158,9 @@ def build_ppo(
         algorithm: GroupPpo = PPO.construct_algorithm(observations, _Sizes(batch.copies), settings, ranks.device)  # type: ignore[arg-type]
     size = [len(POLICY_JOINT_NAMES)]
     algorithm.storage = KeptMinibatches("rl", batch.copies, config.steps, observations, size, ranks.device)
+    if config.critic_rate is not None:
+        rates = config.learning_rate, config.critic_rate
+        algorithm.optimizer = PairedAdam(algorithm.actor, algorithm.critic, *rates)
     for model in (algorithm.actor, algorithm.critic):
         use_onednn(model)
     if ranks.count > 1:

@@ -74,7 +74,8 @@ class Trainer(TrainingLoop):
         """Begin with the networks of another run; of the same learner with its optimiser too."""
         library, learned = checkpoint_of(other, self.ranks, self.config.learner.warm_std)
         if library == "rsl_rl":
-            wanted = {"actor": True, "critic": True, "optimizer": True, "iteration": False, "rnd": False}
+            alike = len(learned["optimizer_state_dict"]["param_groups"]) == len(self.ppo.optimizer.param_groups)
+            wanted = {"actor": True, "critic": True, "optimizer": alike, "iteration": False, "rnd": False}
             self.ppo.load(learned, wanted, True)
             return
         for model, name in ((self.ppo.actor, "actor"), (self.ppo.critic, "critic")):
@@ -148,7 +149,8 @@ class Trainer(TrainingLoop):
         teaches = learner.teaches_actor(round_number)
         self.ppo.actor.requires_grad_(teaches)
         self.ppo.schedule = "adaptive" if teaches else "fixed"
-        self.ppo.use_clipped_value_loss = teaches  # else a critic that knows nothing yet comes nearer by 0.2 a round
+        # Clipped, a critic that knows nothing yet would come nearer by 0.2 a round.
+        self.ppo.use_clipped_value_loss = teaches and learner.critic_rate is None
         if learner.begins_actor(round_number):
             set_learning_rate(self.ppo, CAUTIOUS_RATE)
 
