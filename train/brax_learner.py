@@ -230,6 +230,7 @@ class BraxPpo:
             else:
                 gradient = gradient.replace(policy=jax.tree.map(jnp.zeros_like, gradient.policy))
                 rate = state[-1].hyperparams["learning_rate"]
+            change: Any
             change, state = self._optimiser.update(gradient, state)
             if self.config.critic_rate is not None:  # Adam's steps are proportional to the rate
                 share = self.config.critic_rate / rate

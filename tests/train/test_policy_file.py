@@ -20,7 +20,7 @@ from tests.train.jax_settings import quick_to_compile, why_absent  # noqa: E402
 from train.__main__ import main  # noqa: E402
 from train.config import NEW_CRITIC_ROUNDS, LearnerConfig, PpoConfig, load_preset  # noqa: E402
 from train.export import realistic_observations  # noqa: E402
-from train.learner import load_actor  # noqa: E402
+from train.learner import load_actor, set_learning_rate  # noqa: E402
 from train.loop import CAUTIOUS_RATE  # noqa: E402
 from train.policy_file import PolicyFile  # noqa: E402
 from train.ppo import Trainer  # noqa: E402
@@ -85,6 +85,33 @@ def test_the_critic_learns_before_the_actor_does(file: Path, tmp_path: Path) -> 
     assert figures["policy/learning_rate"] <= CAUTIOUS_RATE * 1.5**steps
     moved = max(np.abs(v - actor[name]).max() for name, v in _weights(trainer.ppo.actor).items())
     assert moved < 0.1, "the first update of the actor is a small one"
+
+
+def test_a_critic_can_learn_at_its_own_rate(file: Path, tmp_path: Path) -> None:
+    """The actor's rate adapts, the critic's stays; a run that continues one without goes on, with a new optimiser."""
+    own = replace(CONFIG, learner=replace(LEARNER, critic_rounds=0, critic_rate=3e-3))
+    trainer = Trainer(own, RunFolder.create(tmp_path, "own", own, parent=PolicyFile(file)))
+    trainer.begin_with(PolicyFile(file).actor(own))
+    set_learning_rate(trainer.ppo, 0.0)
+    trainer.ppo.desired_kl = 1e9  # it stays there
+    actor, critic = _weights(trainer.ppo.actor), _weights(trainer.ppo.critic)
+    trainer.iterate()
+    for name, value in _weights(trainer.ppo.actor).items():
+        np.testing.assert_array_equal(value, actor[name], err_msg=name)
+    assert all((value != critic[name]).any() for name, value in _weights(trainer.ppo.critic).items())
+    assert [group["lr"] for group in trainer.ppo.optimizer.param_groups] == [0.0, 3e-3]
+    assert not trainer.ppo.use_clipped_value_loss
+    trainer.save()
+    again = Trainer(own, trainer.folder)
+    again.resume()
+    assert [group["lr"] for group in again.ppo.optimizer.param_groups] == [0.0, 3e-3]
+    shared = Trainer(CONFIG, RunFolder(tmp_path / "shared"))
+    shared.warm_start(trainer.folder)
+    assert len(shared.ppo.optimizer.param_groups) == 1 and not shared.ppo.optimizer.state
+    for name, value in _weights(trainer.ppo.critic).items():
+        np.testing.assert_array_equal(_weights(shared.ppo.critic)[name], value, err_msg=name)
+    with pytest.raises(ValueError, match=r"learner\.critic_rate must lie in \[1e-06, 1\], got 2"):
+        LearnerConfig(critic_rate=2.0)
 
 
 def test_a_run_that_is_resumed_goes_on_holding_the_actor(file: Path, tmp_path: Path) -> None:

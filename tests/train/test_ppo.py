@@ -208,7 +208,7 @@ def test_presets_are_complete_and_valid() -> None:
     [
         (["ppo", "--preset", "huge"], f"preset 'huge' is unknown; known presets: {', '.join(preset_names())}"),
         (["resume", "nowhere"], "nowhere is not a training run"),
-        (["fly"], "unknown command 'fly'; known commands: ppo, recipe, ablation, resume, average, export, card"),
+        (["fly"], "unknown command 'fly'; known commands: ppo, recipe, ablation, resume, average, calibrate, export,"),
         (["ppo", "--preset", "smoke", "--copies", "2"], "copies must be at least"),
     ],
 )

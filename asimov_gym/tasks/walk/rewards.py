@@ -113,14 +113,14 @@ def track_mean_yaw_rate(m: Motion) -> Any:
 
 # The other tracking terms are flat where little is left to gain, and there a bit of slowness buys comfort.
 def track_mean_velocity_exactly(m: Motion) -> Any:
-    """Follow the commanded planar velocity on average over a gait cycle, with a peak at no error instead of a plateau."""
+    """Follow the commanded planar velocity on average over a gait cycle, with a peak instead of a plateau."""
     xp = namespace(m.velocity)
     error = m.mean_velocity[:, 0:2] - m.command[:, 0:2]
     return xp.exp(-xp.sqrt(squares(error)) / 0.1)
 
 
 def track_mean_yaw_rate_exactly(m: Motion) -> Any:
-    """Follow the commanded turning rate on average over a gait cycle, with a peak at no error instead of a plateau."""
+    """Follow the commanded turning rate on average over a gait cycle, with a peak instead of a plateau."""
     xp = namespace(m.velocity)
     error = m.mean_velocity[:, 2] - m.command[:, 2]
     return xp.exp(-xp.abs(error) / 0.2)
