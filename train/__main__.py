@@ -72,7 +72,8 @@ class Card:
     notes: Path | None = None
     """Markdown to put on the card."""
     earlier: tuple[Path, ...] = ()
-    """Runs of the stages before, oldest first; their curves go on the card too."""
+    """Runs of the stages before, oldest first; their curves go on the card too. A policy's `.curves.csv` stands for all
+    runs that led to it."""
     suite: str = "standard"
     """Suite to judge it by: a name, or a YAML file."""
 

@@ -39,6 +39,8 @@ _MIRROR = (1.0, -1.0, -1.0)
 """Signs of vx, vy and yaw rate in the mirror image of a command."""
 _SETTLING_S, _MEASURED_S = 2.0, 8.0
 _HIDDEN = 24
+_BEYOND = 1.08
+"""Commands are measured in so many times the trained ranges, so that none that may be given is at the edge."""
 _HELD_BACK = 6
 """Of so many commands one is not fitted to."""
 
@@ -138,7 +140,7 @@ def measure(
     Args:
         infer: observations (n, width) to actions (n, 23).
         contract: of the policy.
-        commands: how many, spread evenly over the trained ranges; evenest for a power of two.
+        commands: how many, spread evenly over the trained ranges and a little beyond; evenest for a power of two.
         profile: of the physics.
         threads: of the physics.
         seed: of the commands.
@@ -147,7 +149,7 @@ def measure(
     Raises:
         ValueError: with a tenth of the commands or more the robot fell: a policy that is calibrated must walk.
     """
-    low, high = np.array(contract.command_ranges).T
+    low, high = _BEYOND * np.array(contract.command_ranges).T
     spread = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(commands).numpy()
     drawn = (low + (high - low) * spread).astype(np.float32)
     drawn = drawn[np.linalg.norm(drawn, axis=1) > 2.0 * contract.standing_threshold]

@@ -49,14 +49,30 @@ def read_curves(folder: RunFolder, names: Sequence[str] = tuple(name for name, _
     }
 
 
-def joined_curves(folders: Sequence[RunFolder]) -> dict[str, np.ndarray]:
-    """Curves of runs that followed each other, on one axis of samples; a mean of runs has none."""
+def saved_curves(path: Path) -> dict[str, np.ndarray]:
+    """Curves that `save_curves` wrote, as `read_curves` gives them.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it holds no curves.
+    """
+    with path.open(encoding="utf-8") as lines:
+        names = next(lines, "").strip().split(",")
+    if names[0] != "samples" or len(names) < 2:
+        raise ValueError(f"{path} holds no curves: its first line must be samples,NAME,..., got {','.join(names)!r}")
+    rows = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
+    return {name: rows[:, [0, place]] for place, name in enumerate(names) if place > 0}
+
+
+def joined_curves(folders: Sequence[RunFolder | Path]) -> dict[str, np.ndarray]:
+    """Curves of runs that followed each other, on one axis of samples; a mean of runs has none. A path is that of a
+    file with the curves of all runs so far."""
     parts: dict[str, list[np.ndarray]] = {name: [] for name, _ in CURVES}
     offset = 0.0
     for folder in folders:
-        if "mean_of" in folder.origin():
+        if isinstance(folder, RunFolder) and "mean_of" in folder.origin():
             continue
-        curves = read_curves(folder)
+        curves = saved_curves(folder) if isinstance(folder, Path) else read_curves(folder)
         for name, rows in curves.items():
             parts[name].append(rows + np.array([offset, 0.0]))
         offset += max((float(rows[-1, 0]) for rows in curves.values()), default=0.0)
@@ -102,7 +118,7 @@ def write_card(
     result: SuiteResult,
     path: Path,
     notes: str = "",
-    earlier: Sequence[RunFolder] = (),
+    earlier: Sequence[RunFolder | Path] = (),
     evaluation: Path | None = None,
 ) -> None:
     """Write `path` (Markdown), and beside it the curves (PNG and CSV) and the figures (JSON).
@@ -113,7 +129,7 @@ def write_card(
         result: what a suite measured of it.
         path: the card.
         notes: what a reader should also know.
-        earlier: the runs of the stages before, oldest first, for their curves.
+        earlier: the runs of the stages before, oldest first, for their curves; see `joined_curves`.
         evaluation: the result's run folder, for samples of the gait.
     """
     contract, config = policy.contract, folder.config()

@@ -253,10 +253,11 @@ def write_run_card(
     policy_file = policy_file or folder.path / "policy.onnx"
     policy = load_policy(policy_file)
     text = notes.read_text(encoding="utf-8") if notes is not None else ""
+    before = [run if run.suffix == ".csv" else RunFolder.open(run) for run in earlier]
     result, place = evaluate_run(folder, policy, load_suite(suite_name))
     page = write_report(result, place)
     card = policy_file.with_suffix(".md")
-    write_card(folder, policy, result, card, text, [RunFolder.open(run) for run in earlier], place)
+    write_card(folder, policy, result, card, text, before, place)
     _console.print(summary(result), highlight=False, markup=False)
     _console.print(f"report: {page}\ncard: {card}", highlight=False, markup=False)
     return 0

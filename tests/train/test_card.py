@@ -17,7 +17,7 @@ from asimov_gym.evaluation.runner import run_suite
 from asimov_gym.evaluation.suite import parse_suite
 from asimov_gym.policy import load_policy
 from train.__main__ import main
-from train.card import joined_curves, write_card
+from train.card import joined_curves, read_curves, save_curves, write_card
 from train.ppo import Trainer
 from train.run_folder import RunFolder
 from train.weights import with_exploration
@@ -62,8 +62,18 @@ def test_a_warm_start_can_explore_more_or_less_than_the_other_run_did(stages: li
     assert with_exploration(as_brax, None) == as_brax
 
 
-def test_curves_of_stages_follow_each_other(stages: list[RunFolder]) -> None:
+def test_curves_of_stages_follow_each_other(stages: list[RunFolder], tmp_path: Path) -> None:
     curves = joined_curves(stages)
+    save_curves(curves, tmp_path / "both.csv")
+    longer = joined_curves([tmp_path / "both.csv", stages[1]])
+    assert set(longer) == set(curves)
+    for name, rows in longer.items():
+        alone = read_curves(stages[1])[name]
+        np.testing.assert_allclose(rows[-len(alone) :, 1], alone[:, 1])
+        assert (np.diff(rows[:, 0]) > 0.0).all() and rows[-1, 0] > curves[name][-1, 0]
+    (tmp_path / "none.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(ValueError, match=r"none\.csv holds no curves: its first line must be samples"):
+        joined_curves([tmp_path / "none.csv"])
     samples = curves["episode/reward"][:, 0]
     assert samples[-1] == 512 and (np.diff(samples) > 0).all()
 
