@@ -197,7 +197,13 @@ def _training(card: CardFigures) -> str:
     stages = [*training.get("after", ()), training]
     samples, seconds = (sum(float(stage.get(name, 0.0)) for stage in stages) for name in ("samples", "seconds"))
     time = f"{seconds / 60.0:.0f} minutes" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} hours"
-    return f" Training took {time}: {samples / 1e6:.0f} million samples in {counted(len(stages), 'stage')}."
+    made = f" Training took {time}: {samples / 1e6:.0f} million samples in {counted(len(stages), 'stage')}."
+    if (calibration := training.get("calibration")) is not None:
+        made += (
+            " Its commands are [calibrated](recipe.md#exactness): how fast it walks was measured under these "
+            f"conditions, at {calibration['commands']} commands drawn at random, and the file corrects them."
+        )
+    return made
 
 
 def _conditions(card: CardFigures, table: Table) -> str:
