@@ -200,7 +200,7 @@ def _training(card: CardFigures) -> str:
     made = f" Training took {time}: {samples / 1e6:.0f} million samples in {counted(len(stages), 'stage')}."
     if (calibration := training.get("calibration")) is not None:
         made += (
-            " Its commands are [calibrated](recipe.md#exactness): how fast it walks was measured under these "
+            " Its commands are calibrated: how fast it walks was measured under these "
             f"conditions, at {calibration['commands']} commands drawn at random, and the file corrects them."
         )
     return made
