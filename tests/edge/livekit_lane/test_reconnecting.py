@@ -30,8 +30,8 @@ def test_while_the_connection_is_mended_the_robot_does_not_walk(robot, server, m
         server.mend()
         await until(lambda: robot.edge.lanes.cloud_connected)
         about_rooms = lambda: [message.split(" room")[0] for message in said(member) if " room" in message]  # noqa: E731
-        await until(lambda: len(about_rooms()) >= 2)  # each event travels by itself
-        assert about_rooms() == ["lost", "joined again"]
+        # Each event travels by itself; the first "joined" may have been before the member was there.
+        await until(lambda: about_rooms()[-2:] == ["lost", "joined again"])
         track.try_push(DataTrackFrame(io_command(9, policy=io_pb2.VelocityCommand(vx=0.2))))
         await until(lambda: robot.edge.tally.packets == 3)
         assert lane.joined == 1
