@@ -23,20 +23,18 @@ import torch
 from torch import nn
 
 from asimov_gym.envs.walk_batch import WalkBatch
+from asimov_gym.evaluation.scenario import DELAYS
 from asimov_gym.physics import DECIMATION, TIMESTEP
 from asimov_gym.policy.contract import PolicyContract
 from asimov_gym.robot import frames
+from asimov_gym.robot.mirror import mirror_command
 from asimov_gym.robot.observation import observation_layout
 from asimov_gym.tasks.walk import WalkConfig
 
-DELAYS = 6
-"""Action delays that are measured: 0 to 25 ms, in physics steps."""
 CALIBRATION_LAYERS = "command_layers"
 """In the names of its weights in a policy file."""
 LARGEST = 0.2
 """No velocity of a command is changed by more than this, m/s and rad/s."""
-_MIRROR = (1.0, -1.0, -1.0)
-"""Signs of vx, vy and yaw rate in the mirror image of a command."""
 _SETTLING_S, _MEASURED_S = 2.0, 8.0
 _HIDDEN = 24
 _BEYOND = 1.08
@@ -111,7 +109,7 @@ class CommandCalibration(nn.Module):
         place = torch.zeros(rows.width, 3)
         place[range(*rows.slices["command"].indices(rows.width)), range(3)] = 1.0
         self.register_buffer("place", place, persistent=False)
-        self.register_buffer("mirror", torch.tensor(_MIRROR), persistent=False)
+        self.register_buffer("mirror", torch.tensor(mirror_command.signs, dtype=torch.float32), persistent=False)
         self._per_square = 1.0 / standing_threshold**2
         self.command_layers = nn.Sequential(nn.Linear(3, _HIDDEN), nn.Tanh(), nn.Linear(_HIDDEN, 3))
 
@@ -160,7 +158,7 @@ def measure(
         standing_threshold=contract.standing_threshold,
         episode_s=1e5,
     )
-    # Two delays that are the middle one on average.
+    # Two of the delays that are judged, 0 to 25 ms in physics steps; on average the middle one.
     first = np.arange(len(drawn)) % DELAYS
     delay = np.concatenate([first, DELAYS - 1 - first])
     command = np.concatenate([drawn, drawn])
@@ -177,7 +175,8 @@ def measure(
             step = batch.step(infer(observation))
             observation, fallen = step.observation, fallen | step.terminated
             if number >= steps - counted:
-                total += _velocity(step.reading) / counted
+                now = step.reading
+                total += frames.as_command(now.base_quat, now.base_velocity, now.gravity, now.gyro) / counted
             progress((number + 1) / steps)
     finally:
         batch.close()
@@ -187,12 +186,6 @@ def measure(
             f"a policy that is calibrated must walk: with {np.sum(~stood)} of {len(drawn)} commands the robot fell"
         )
     return Measurement(drawn[stood], 0.5 * (total[: len(drawn)] + total[len(drawn) :])[stood])
-
-
-def _velocity(reading: Any) -> np.ndarray:
-    """vx, vy and yaw rate in the heading frame, (N, 3)."""
-    planar = frames.to_heading(frames.heading(reading.base_quat), reading.base_velocity)
-    return np.concatenate([planar[:, :2], frames.yaw_rate(reading.gravity, reading.gyro)[:, None]], axis=1)
 
 
 def fit(measured: Measurement, contract: PolicyContract, samples: int, seed: int = 0) -> Calibration:

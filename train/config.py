@@ -44,8 +44,8 @@ class LearnerConfig:
     """First learning rate; it adapts to `desired_kl`."""
     critic_rate: float | None = None
     """Learning rate of the critic, whose loss is then not clipped; when omitted that of the actor, and the loss is
-    clipped by `clip`. Where the actor explores little its rate falls to 1e-5, and a critic that learns as slowly does
-    not see what an action is worth a few steps later: the policy forgets how fast it walks."""
+    clipped by `clip`. Where the actor explores little its rate falls to 1e-5, which is slow for a critic whose rewards
+    have just changed."""
     desired_kl: float = 0.012
     clip: float = 0.2
     entropy_samples: tuple[float, ...] = (6.0e6, 8.0e6)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from asimov_gym.physics import Reading
-from asimov_gym.robot.frames import heading, to_heading, yaw_rate
+from asimov_gym.robot.frames import as_command
 
 CHANNELS = ("vx", "vy", "wz")
 """Order of the velocity entries: forward and left (m/s) in the heading frame, yaw rate about the world's z (rad/s)."""
@@ -76,5 +76,4 @@ class Tracking:
 
 def true_velocity(reading: Reading) -> np.ndarray:
     """Velocity of the first robot of a reading, (3,): pelvis forward and left in the heading frame, yaw rate."""
-    level = to_heading(heading(reading.base_quat[0]), reading.base_velocity[0])
-    return np.array([level[0], level[1], yaw_rate(reading.gravity[0], reading.gyro[0])])
+    return as_command(reading.base_quat, reading.base_velocity, reading.gravity, reading.gyro)[0]

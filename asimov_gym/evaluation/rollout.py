@@ -300,9 +300,7 @@ class _Rollout:
     def _record(
         self, step: int, which: np.ndarray, given: np.ndarray, phase: np.ndarray, height: np.ndarray, reading: Reading
     ) -> None:
-        angle = frames.heading(reading.base_quat)
-        velocity = frames.to_heading(angle, reading.base_velocity)
-        velocity[:, 2] = frames.yaw_rate(reading.gravity, reading.gyro)
+        velocity = frames.as_command(reading.base_quat, reading.base_velocity, reading.gravity, reading.gyro)
         feet = reading.foot_position
         values = {
             "command": self._asked[step, self._place],

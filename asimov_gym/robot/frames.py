@@ -54,6 +54,19 @@ def yaw_rate(gravity: Any, gyro: Any) -> Any:
     return -(gravity[..., 0] * gyro[..., 0] + gravity[..., 1] * gyro[..., 1] + gravity[..., 2] * gyro[..., 2])
 
 
+def as_command(quat: Any, velocity: Any, gravity: Any, gyro: Any) -> Any:
+    """A robot's motion as a velocity command would ask for it, (..., 3): vx, vy in the heading frame and yaw rate.
+
+    Args:
+        quat: of the pelvis, (..., 4).
+        velocity: of the pelvis, world frame, (..., 3).
+        gravity: projected, (..., 3).
+        gyro: angular velocity in the body frame, (..., 3).
+    """
+    planar = to_heading(heading(quat), velocity)
+    return _vector(namespace(quat, velocity), planar[..., 0], planar[..., 1], yaw_rate(gravity, gyro))
+
+
 def _vector(xp: Any, x: Any, y: Any, z: Any) -> Any:
     """Three components (...) of one shape and type as a vector (..., 3)."""
     if xp is np:  # the same as stack, which for one robot would cost more than the arithmetic before it

@@ -30,19 +30,10 @@ def steps_between(draw: Any, seconds: tuple[float, float]) -> Any:
     return xp.astype(xp.round(between(draw, seconds) / DT), integer(xp))
 
 
-def until_disturbed(draw: Any, seconds: tuple[float, float], calm_share: float, calm: Any) -> Any:
-    """Policy steps until the first disturbance of an episode, (N,): `NEVER` where it is calm.
-
-    Args:
-        draw: in [0, 1), for the time where it is not; calm episodes take the lower part of those that decided on them.
-        seconds: interval of that time.
-        calm_share: share of calm episodes, where `draw` is what decided; 0 otherwise.
-        calm: which are, (N,) bool.
-    """
-    xp = namespace(draw)
-    left = draw if calm_share == 0.0 else xp.clip((draw - calm_share) / max(1.0 - calm_share, 1e-6), 0.0, 1.0)
-    steps = steps_between(left, seconds)
-    return xp.where(calm, NEVER * xp.ones_like(steps), steps)
+def decided(draw: Any, share: float) -> tuple[Any, Any]:
+    """What happens with this chance, (N,) bool, and a fresh draw for where it does not; from draws (N,) in [0, 1)."""
+    left = (draw - share) / max(1.0 - share, 1e-6)
+    return draw < share, namespace(draw).clip(left, 0.0, 1.0)
 
 
 def draw_command(config: CommandConfig, draws: Any) -> tuple[Any, Any]:

@@ -26,7 +26,7 @@ from asimov_gym.tasks.ground_truth import above_ground, critic_view, ground_trut
 from asimov_gym.tasks.outcome import Outcome, settle
 from asimov_gym.tasks.walk import bus_age, rewards
 from asimov_gym.tasks.walk.config import WalkConfig
-from asimov_gym.tasks.walk.draws import DT, NEVER, draw_command, draw_kick, until_disturbed
+from asimov_gym.tasks.walk.draws import DT, NEVER, decided, draw_command, draw_kick, steps_between
 from asimov_gym.tasks.walk.shove import pace, shoved
 from asimov_gym.tasks.walk.state import COMMAND_DRAWS, PLACE_DRAWS, START_DRAWS, STEP_DRAWS, WalkState
 
@@ -103,13 +103,14 @@ class WalkTask:
         low, high = xp.round(steps[0]), xp.round(steps[1])
         delay = xp.astype(xp.floor(low + (high - low + 0.999) * draws[:, 0]), integer(xp))
         zero = c.noise.joint_zero * (2.0 * draws[:, 2 : 2 + _JOINTS] - 1.0)
-        calm = draws[:, -2] < c.calm_share
+        calm, kick_draw = decided(draws[:, -2], c.calm_share)
+        never = xp.full(n, NEVER, dtype=integer(xp))
         command, left = draw_command(c.command, draws[:, 2 + _JOINTS : 2 + _JOINTS + COMMAND_DRAWS])
         return WalkState(
             step=xp.zeros(n, dtype=integer(xp)),
             command=command,
             command_left=left,
-            kick_left=until_disturbed(draws[:, -2], c.kick.interval_s, c.calm_share, calm),
+            kick_left=xp.where(calm, never, steps_between(kick_draw, c.kick.interval_s)),
             phase=xp.where(draws[:, 1] < 0.5, zeros, zeros + math.pi),
             action=xp.zeros((n, 3, _ACTIONS), dtype=dtype),
             delay=delay if randomise else xp.zeros_like(delay),
@@ -117,7 +118,7 @@ class WalkTask:
             mean_velocity=xp.zeros((n, 3), dtype=dtype),
             shove=xp.zeros((n, len(c.shove.bodies), 3), dtype=dtype),
             shove_left=xp.zeros(n, dtype=integer(xp)),
-            shove_wait=until_disturbed(draws[:, -1], c.shove.interval_s, 0.0, calm),
+            shove_wait=xp.where(calm, never, steps_between(draws[:, -1], c.shove.interval_s)),
         )
 
     def is_calm(self, state: WalkState) -> Any:
