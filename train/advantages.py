@@ -1,8 +1,8 @@
 """How advantages are scaled: over the samples of all ranks, and those of calm robots by themselves.
 
-Scaled together, the advantages of a round say little about exact walking: measured with the preset `exact`, where half of
-the episodes are calm, 85 % of their summed squares are the disturbed robots', and a tenth of those robots' samples hold
-93 % of that. So where some episodes are calm (`WalkConfig.calm_share`), theirs are brought to unit variance by
+Scaled together, the advantages of a round say little about exact walking. Measured with the preset `exact`, where half
+of the episodes are calm, 85 % of their summed squares are the disturbed robots', and a tenth of those robots' samples
+hold 93 % of that. So where some episodes are calm (`WalkConfig.calm_share`), theirs are brought to unit variance by
 themselves, and both lessons weigh as much as they have samples.
 """
 
