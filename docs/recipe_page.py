@@ -95,7 +95,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         *_rewards("foot_contact"),
         Row("walk.command.standing_share", "share of commands to stand"),
         Row("walk.standing_threshold", "commands below this norm mean to stand"),
-        *_rewards("rest", "rest_pose", "rest_drift"),
+        *_rewards("rest", "rest_pose", "rest_stance", "rest_drift"),
     ),
     "feet": (
         Row("walk.step_height", "height of a step, m"),

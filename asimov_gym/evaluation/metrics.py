@@ -20,7 +20,7 @@ from asimov_gym.evaluation import effort, gait, standing, tracking
 from asimov_gym.evaluation.rollout import Trace
 from asimov_gym.evaluation.scenario import Scenario
 from asimov_gym.robot.feet import SOLE_DEPTH
-from asimov_gym.robot.frames import heading
+from asimov_gym.robot.frames import heading, to_heading
 from asimov_gym.robot.joints import JOINT_NAMES
 
 Better = Literal["lower", "higher"]
@@ -55,6 +55,9 @@ METRICS: Mapping[str, Metric] = MappingProxyType(
         "sway_m": Metric("m", "lower", "RMS distance of the pelvis from its mean after 2 s, standing"),
         "standing_steps": Metric("", "lower", "times a foot left the ground, standing"),
         "tilt_max_rad": Metric("rad", "lower", "largest tilt of the pelvis"),
+        "stand_tilt_max_rad": Metric("rad", "lower", "largest tilt of the pelvis after STAND took over"),
+        "stance_stagger_m": Metric("m", "lower", "how far one foot was before the other as STAND took over"),
+        "stance_width_m": Metric("m", None, "how far the feet were apart sideways as STAND took over"),
         "gait_frequency_hz": Metric("Hz", None, "gait cycles per second"),
         "foot_clearance_m": Metric("m", "higher", "mean over all steps of the sole's highest point above the ground"),
         "slip_m_s": Metric("m/s", "lower", "mean horizontal speed of carrying feet"),
@@ -121,12 +124,14 @@ def trial_metrics(trace: Trace, i: int, scenario: Scenario, period_s: float) -> 
     asked = scenario.command_rows()[:end]
     position = np.asarray(trace.position[:end, i], dtype=np.float64)
     stands = scenario.stands
-    values["tilt_max_rad"] = math.acos(min(1.0, max(-1.0, -float(trace.gravity[:end, i, 2].max()))))
+    values["tilt_max_rad"] = _largest_tilt(trace.gravity[:end, i])
     if survived:
         turned = heading(np.asarray(trace.quat[:end, i], dtype=np.float64))
         velocity = np.asarray(trace.velocity[:end, i], dtype=np.float64)
         path = tracking.dead_reckoned_path(asked, dt, trace.start[i])
         values |= _task(velocity, asked, dt, period_s) | _where(position, turned, *path)
+    if scenario.stand_step < end:
+        values |= _hand_over(trace, i, scenario.stand_step, end)
     contact = gait.contacts(trace.foot_force[:end, i, :, 2])
     sole = trace.foot_height[:end, i] - SOLE_DEPTH
     if survived and stands:
@@ -177,6 +182,22 @@ def _where(
         "drift_final_m": tracking.final_drift(position, path),
         "heading_error_final_rad": tracking.final_heading_error(turned, path_heading),
     }
+
+
+def _hand_over(trace: Trace, i: int, step: int, end: int) -> dict[str, float | None]:
+    """The stance in which STAND took over at a step, and how it went on."""
+    turned = heading(np.asarray(trace.quat[step - 1, i], dtype=np.float64))
+    left, right = to_heading(turned, np.asarray(trace.foot_position[step - 1, i], dtype=np.float64))
+    return {
+        "stance_stagger_m": abs(float(left[0] - right[0])),
+        "stance_width_m": float(left[1] - right[1]),
+        "stand_tilt_max_rad": _largest_tilt(trace.gravity[step:end, i]),
+    }
+
+
+def _largest_tilt(gravity: np.ndarray) -> float:
+    """Largest angle between the pelvis' axis and the vertical, rad, from directions of gravity in its frame, (T, 3)."""
+    return math.acos(min(1.0, max(-1.0, -float(gravity[:, 2].max()))))
 
 
 def _steps(steps: list[gait.Swing], dt: float) -> dict[str, float | None]:

@@ -81,7 +81,7 @@ def tables(result: SuiteResult) -> list[Table]:
     rows = push_rows(result)
     found = [
         _config_table(result),
-        *[_figures_table(group) for group in by_config(result) if group.name in ("grid", "standing")],
+        *[_figures_table(group) for group in by_config(result) if group.name in ("grid", "standing", "hand_over")],
         _tally_table(rows),
         _push_table(result, rows),
         _limit_table(result),

@@ -81,6 +81,8 @@ class ScenarioInfo:
     conditions: Mapping[str, Any]
     """Every condition by name, as plain data; see `asimov_gym.evaluation.scenario.Conditions`."""
     repeats: int
+    stand_at_s: float | None = None
+    """When the mode STAND takes over from the policy."""
 
 
 @dataclass(frozen=True)

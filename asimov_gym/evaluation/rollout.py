@@ -18,6 +18,7 @@ from asimov_gym.evaluation.robots import start_robots
 from asimov_gym.evaluation.scenario import FALL_RULES, Trial
 from asimov_gym.evaluation.sensor_noise import SensorNoise
 from asimov_gym.evaluation.variants import variant_named
+from asimov_gym.firmware.stand import RAMP_S, stand_target
 from asimov_gym.physics import Reading, delayed_position
 from asimov_gym.policy import Policy, PolicyContract, PolicyDriver, clip_command
 from asimov_gym.robot import frames, gait_clock
@@ -191,6 +192,8 @@ class _Rollout:
             self._asked[: self._steps[i], i] = trial.scenario.command_rows()
         self._pushes = PushSchedule(trials)
         self._delay = np.array([round(0.001 * t.delay_ms / variant.timestep) for t in trials])
+        self._stand_step = np.array([trial.scenario.stand_step for trial in trials])
+        self._stand_entry = np.zeros((n, len(STAND_POSITION)))
         self._holds = np.array([c.hold_heading for c in conditions])
         self._fall = np.array([(FALL_RULES[c.fall].gravity_z, FALL_RULES[c.fall].height) for c in conditions])
         self._noise = SensorNoise(trials)
@@ -257,7 +260,10 @@ class _Rollout:
         asked = self._asked[step, place].astype(np.float64)
         given = self._with_heading(asked, reading)
         target = self._driver.step(command=given, **self._noise.sense(place, reading))
-        sound = self._driver.finite & np.isfinite(target).all(axis=1)
+        standing = step >= self._stand_step[place]
+        if standing.any():
+            target = np.where(standing[:, None], self._stand_target(step, reading), target)
+        sound = (self._driver.finite | standing) & np.isfinite(target).all(axis=1)
         if not sound.all():
             self._end(step, going & ~sound, "the network's output is not finite")
             going = going & sound
@@ -276,6 +282,13 @@ class _Rollout:
         self._fall_step[place[fallen]] = step
         self._record(step, going & ~fallen, given, phase, height, after)
         return after
+
+    def _stand_target(self, step: int, reading: Reading) -> np.ndarray:
+        """What the mode STAND asks of the joints, (n, 25); of meaning for robots that are in it."""
+        since = step - self._stand_step[self._place]
+        self._stand_entry[self._place[since == 0]] = reading.joint_position[since == 0]
+        ramp = np.clip(since * DT / RAMP_S, 0.0, 1.0)[:, None]
+        return stand_target(self._stand_entry[self._place], STAND_POSITION, ramp)
 
     def _end(self, step: int, which: np.ndarray, reason: str) -> None:
         for i in self._place[which]:

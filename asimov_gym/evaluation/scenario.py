@@ -134,6 +134,9 @@ class Scenario:
     """Range of commands by axis, taken instead of the one that the policy was trained for."""
     gait_symmetry: bool = False
     """Straight steady walking, of which the symmetry of the gait means something."""
+    stand_at_s: float | None = None
+    """From then on the mode STAND has the joints, as in the firmware, on the ground and without a gantry; the policy is
+    asked no more. None: it has them to the end."""
     description: str = ""
 
     def __post_init__(self) -> None:
@@ -148,6 +151,13 @@ class Scenario:
             check_range(f"{self.id}: command t", command.t, 0.0, self.duration_s)
             for axis in AXES:
                 check_range(f"{self.id}: {axis}", getattr(command, axis), -COMMAND_BOUNDS[axis], COMMAND_BOUNDS[axis])
+        if self.stand_at_s is not None:
+            check_range(f"{self.id}: stand_at_s", self.stand_at_s, 1.0 / POLICY_RATE_HZ, self.duration_s)
+            late = [command.t for command in self.commands if command.t >= self.stand_at_s]
+            if late:
+                raise ValueError(
+                    f"{self.id}: commands must come before stand_at_s {self.stand_at_s:g}, got {late[0]:g}"
+                )
         for push in self.pushes:
             if push.body not in body_names():
                 raise ValueError(f"{self.id}: push on unknown body {push.body!r}; known: {', '.join(body_names())}")
@@ -163,6 +173,11 @@ class Scenario:
         return max(1, round(self.duration_s * POLICY_RATE_HZ))
 
     @property
+    def stand_step(self) -> int:
+        """First policy step that STAND has; `steps` where the policy has all."""
+        return self.steps if self.stand_at_s is None else math.ceil(self.stand_at_s * POLICY_RATE_HZ - 1e-6)
+
+    @property
     def stands(self) -> bool:
         """Whether every command is zero."""
         return all((c.vx, c.vy, c.wz) == (0.0, 0.0, 0.0) for c in self.commands)
@@ -173,6 +188,7 @@ class Scenario:
         for command in self.commands:
             # A command that comes between two policy steps acts from the later one.
             rows[math.ceil(command.t * POLICY_RATE_HZ - 1e-6) :] = (command.vx, command.vy, command.wz)
+        rows[self.stand_step :] = 0.0
         return rows
 
     def info(self) -> ScenarioInfo:
@@ -189,6 +205,7 @@ class Scenario:
             commands=tuple((c.t, c.vx, c.vy, c.wz) for c in self.commands),
             conditions=conditions,
             repeats=self.repeats,
+            stand_at_s=self.stand_at_s,
         )
 
 

@@ -7,9 +7,9 @@ scenarios of which repeat 0 is kept whole), `scenarios` and `push_limits`. An en
 * `walks: {NAME: COMMANDS, ...}`: each a command `[vx, vy, wz]`, or a list of `[t, vx, vy, wz]`;
 * `rows: [...]`: rows of the robot maker's benchmark, by id, by category, or `all`;
 
-with `config` (its category; rows bring their own), `duration` in s, `repeats`, `conditions` (fields of `Conditions`),
-`vary` (lists of values of conditions: every combination is a scenario) and, for rows under other conditions than their
-own, `suffix` of their names.
+with `config` (its category; rows bring their own), `duration` in s, `stand_at` (when the mode STAND takes over from the
+policy, s; not for rows), `repeats`, `conditions` (fields of `Conditions`), `vary` (lists of values of conditions: every
+combination is a scenario) and, for rows under other conditions than their own, `suffix` of their names.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PROTOCOL = 1
 """Counts changes of how suites are run, so that results from before and after one are not taken for the same."""
 _SUITE_KEYS = ("description", "seed", "repeats", "traces", "scenarios", "push_limits")
 _KINDS = ("grid", "walks", "rows")
-_COMMON_KEYS = ("config", "duration", "repeats", "conditions", "vary", "suffix", "description")
+_COMMON_KEYS = ("config", "duration", "stand_at", "repeats", "conditions", "vary", "suffix", "description")
 _NAME = re.compile(r"[a-z0-9_]+")
 
 
@@ -68,7 +68,11 @@ class Suite:
     @cached_property
     def hash(self) -> str:
         """Of all that decides the outcome: 16 hexadecimal digits. Names, descriptions and traces do not."""
-        scenarios = [{k: v for k, v in asdict(s).items() if k != "description"} for s in self.scenarios]
+        # What came later and is not asked for is left out: suites without it keep their hash.
+        scenarios = [
+            {k: v for k, v in asdict(s).items() if k != "description" and (k, v) != ("stand_at_s", None)}
+            for s in self.scenarios
+        ]
         searches = [asdict(search) for search in self.push_limits]
         conditions = [s.conditions for s in self.scenarios] + [search.conditions for search in self.push_limits]
         variants = [asdict(variant_named(name)) for name in sorted({c.physics for c in conditions})]
@@ -176,6 +180,7 @@ def _scenarios(place: str, entry: Any, repeats: int) -> list[Scenario]:
             commands=commands,
             conditions=conditions,
             repeats=repeats,
+            stand_at_s=None if "stand_at" not in entry else _number(f"{place}.stand_at", entry["stand_at"]),
             description=str(entry.get("description") or ""),
         )
         for walk, commands in walks.items()
@@ -184,7 +189,7 @@ def _scenarios(place: str, entry: Any, repeats: int) -> list[Scenario]:
 
 
 def _rows(place: str, entry: Mapping[str, Any], repeats: int) -> list[Scenario]:
-    for key in ("config", "duration", "description"):
+    for key in ("config", "duration", "stand_at", "description"):
         if key in entry:
             raise ValueError(f"{place}.{key} is not allowed beside rows, which have their own")
     known = shipped_rows()

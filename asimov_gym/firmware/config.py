@@ -11,6 +11,7 @@ from asimov_gym.firmware.gantry import GantryConfig
 from asimov_gym.firmware.joint_control import JointControlConfig
 from asimov_gym.firmware.motors import MotorConfig
 from asimov_gym.firmware.policy_control import InferenceConfig
+from asimov_gym.firmware.stand import RAMP_S
 from asimov_gym.robot.ankle import FORMS, Form
 from asimov_gym.robot.safety_limits import (
     FALL_GRAVITY_Z,
@@ -26,7 +27,7 @@ from asimov_gym.robot.safety_limits import (
 class FirmwareConfig:
     """Times and thresholds of the robot. Those marked assumed are published by nobody."""
 
-    stand_ramp_s: float = 2.0
+    stand_ramp_s: float = RAMP_S
     """Time from the present pose to the standing pose."""
     trajectory_timeout_s: float = 0.2
     """MOVE/TRAJECTORY falls back to DAMP after this long without a request, unless the last one says otherwise."""

@@ -21,6 +21,7 @@ from asimov_gym.firmware.joint_control import JointControl, RunEnd
 from asimov_gym.firmware.linkage import Linkage
 from asimov_gym.firmware.modes import Outcome, State, Transition, Trigger, transition
 from asimov_gym.firmware.policy_control import PolicyControl, PolicyFault
+from asimov_gym.firmware.stand import stand_target
 from asimov_gym.firmware.trajectory_control import TrajectoryControl
 from asimov_gym.physics import JointTarget
 from asimov_gym.robot.alerts import AlertId
@@ -224,8 +225,7 @@ class ModeControl:
             case State.DAMP:
                 return JointTarget(position, kp=self._no_gain, kd=self._no_gain if self._limp else self._damp_kd)
             case State.STAND:
-                start = self._entry_position
-                return JointTarget(start + self.ramp(now_us) * (self._stand - start))
+                return JointTarget(stand_target(self._entry_position, self._stand, self.ramp(now_us)))
             case State.TRAJECTORY if self._joints.drives:
                 return self._joints.target(position[0], clock_us)
             case State.TRAJECTORY:

@@ -129,6 +129,24 @@ def test_heading_and_tilt() -> None:
     assert values["tilt_max_rad"] == pytest.approx(0.3, rel=1e-4)
 
 
+def test_the_stance_in_which_stand_takes_over_and_how_far_the_robot_then_tips() -> None:
+    trace = still(1)
+    turned = 0.5 * np.pi  # the robot faces +y: left is -x
+    trace.quat[:, 0] = [np.cos(0.5 * turned), 0.0, 0.0, np.sin(0.5 * turned)]
+    trace.foot_position[:, 0, :, :2] = [[-0.11, 0.03], [0.09, -0.01]]
+    trace.gravity[100:200, 0] = [0.0, np.sin(0.5), -np.cos(0.5)]
+    trace.gravity[400:, 0] = [np.sin(0.2), 0.0, -np.cos(0.2)]
+    values = trial_metrics(trace, 0, scenario(stand_at_s=5.0), 0.667)
+    assert values["stance_stagger_m"] == pytest.approx(0.04)
+    assert values["stance_width_m"] == pytest.approx(0.2)
+    assert values["stand_tilt_max_rad"] == pytest.approx(0.2)
+    assert values["tilt_max_rad"] == pytest.approx(0.5)
+    without = trial_metrics(trace, 0, scenario(), 0.667)
+    assert without["stance_stagger_m"] is without["stance_width_m"] is without["stand_tilt_max_rad"] is None
+    trace.fall_step[:] = 240  # before STAND
+    assert trial_metrics(trace, 0, scenario(stand_at_s=5.0), 0.667)["stand_tilt_max_rad"] is None
+
+
 def test_a_robot_that_fell_has_figures_of_its_body_before_the_fall_only() -> None:
     trace = replace(walker(0.5), fall_step=np.array([300]))
     trace.joint_torque[300:] = 1e6

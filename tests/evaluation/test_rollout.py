@@ -15,7 +15,7 @@ from asimov_gym.evaluation.rows import Push
 from asimov_gym.evaluation.scenario import Conditions, Trial
 from asimov_gym.evaluation.variants import VARIANTS, build_model
 from asimov_gym.policy import PolicyRunner, default_contract, joint_gains, load_policy
-from asimov_gym.robot.joints import JOINT_NAMES, KP, STAND_POSITION
+from asimov_gym.robot.joints import JOINT_NAMES, KP, POLICY_JOINT_NAMES, STAND_POSITION
 from tests.evaluation.standins import FIXED, Spy, Statue, trials
 
 
@@ -67,6 +67,37 @@ def test_a_delay_is_in_physics_steps() -> None:
     torque = np.abs(roll_out(Kick(), asked).joint_torque[:, :, 3])
     # The torque read after a step is that of its last 5 ms: after 20 ms the first four delays show, the others later.
     assert (torque > 20.0).argmax(axis=0).tolist() == [0, 0, 0, 0, 1, 1, 2]
+
+
+def test_stand_takes_over_from_the_policy() -> None:
+    """Its ramp is the firmware's, from where the joints are; what the network says no longer matters."""
+
+    class Bend(Statue):
+        steps = 0
+
+        def infer(self, observation: np.ndarray) -> np.ndarray:
+            self.steps += 1
+            action = super().infer(observation)
+            action[:, POLICY_JOINT_NAMES.index("left_elbow_joint")] = 2.0  # 0.5 rad
+            return action if self.steps <= 50 else np.full_like(action, np.nan)
+
+    (trial,) = trials(4.0)
+    handed = replace(trial, scenario=replace(trial.scenario, stand_at_s=1.0))
+    trace = roll_out(Bend(), [handed])
+    assert trace.survived.all() and trace.errors == (None,)
+    elbow = JOINT_NAMES.index("left_elbow_joint")
+    bent, half, straight = (trace.joint_position[k, 0, elbow] - STAND_POSITION[elbow] for k in (49, 99, 170))
+    assert bent == pytest.approx(0.5, abs=0.05)
+    assert half == pytest.approx(0.5 * bent, abs=0.05)
+    assert straight == pytest.approx(0.0, abs=0.05)
+    assert roll_out(Bend(), [trial]).errors == ("the network's output is not finite after 1.00 s",)
+
+
+def test_a_robot_at_rest_in_the_standing_pose_can_be_left_to_stand() -> None:
+    (trial,) = trials(8.0)
+    handed = replace(trial, scenario=replace(trial.scenario, stand_at_s=0.5))
+    trace = roll_out(Statue(), [handed])
+    assert trace.survived.all() and -trace.gravity[:, 0, 2].max() > np.cos(np.radians(10.0))
 
 
 def test_commands_beyond_the_trained_range_are_clamped_unless_the_scenario_says_otherwise() -> None:

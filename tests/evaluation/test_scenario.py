@@ -26,6 +26,17 @@ def test_commands_hold_until_the_next_one() -> None:
     np.testing.assert_array_equal(rows[26:], np.tile([0.0, 0.0, -0.3], (24, 1)))  # 0.51 s lies within step 25
 
 
+def test_stand_ends_the_commands() -> None:
+    walk = _scenario(commands=(Command(0.0, 0.5, 0.0, 0.0),), stand_at_s=0.5)
+    assert walk.stand_step == 25 and _scenario().stand_step == _scenario().steps == 50
+    np.testing.assert_array_equal(walk.command_rows()[:, 0], [0.5] * 25 + [0.0] * 25)
+    assert walk.info().stand_at_s == 0.5 and _scenario().info().stand_at_s is None
+    with pytest.raises(ValueError, match=r"a/b: stand_at_s must lie in \[0\.02, 1\], got 2"):
+        _scenario(stand_at_s=2.0)
+    with pytest.raises(ValueError, match=r"commands must come before stand_at_s 0\.5, got 0\.5"):
+        _scenario(commands=(Command(0.0, 0.5, 0.0, 0.0), Command(0.5, 0.0, 0.0, 0.0)), stand_at_s=0.5)
+
+
 def test_seeds_are_stable_and_spread_the_delays() -> None:
     # The value itself: it must be the same on every machine and in every version, or results cannot be compared.
     assert trial_seed(0, "grid/walk", 0) == 1162471741467816

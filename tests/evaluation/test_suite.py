@@ -81,8 +81,9 @@ def test_the_hash_is_of_what_is_asked() -> None:
         _suite(WALK | {"walks": {"forward": [0.4, 0, 0]}}),
         _suite(WALK | {"conditions": {"noise": 0.5}}),
         _suite(WALK | {"conditions": {"physics": "cg"}}),
+        _suite(WALK | {"stand_at": 1}),
     ]
-    assert len({base.hash, *(parse_suite(change, "mine").hash for change in changes)}) == 7
+    assert len({base.hash, *(parse_suite(change, "mine").hash for change in changes)}) == 8
     assert base.with_repeats(6).hash == parse_suite(changes[1], "mine").hash
 
 
@@ -106,6 +107,8 @@ def test_the_hash_is_of_what_is_asked() -> None:
         (_suite(WALK | {"vary": {"delay": 5}}), r"scenarios\[0\].vary.delay must be a list, got 5"),
         (_suite(WALK | {"repeats": 0}), "repeats must be a whole number"),
         (_suite({"rows": ["swimming"]}), r"scenarios\[0\].rows: 'swimming' is unknown; known: all, distance"),
+        (_suite(WALK | {"stand_at": "late"}), r"scenarios\[0\].stand_at must be a number, got 'late'"),
+        (_suite({"rows": ["distance"], "stand_at": 3}), "stand_at is not allowed beside rows"),
         (_suite({"rows": ["distance"], "duration": 3}), "duration is not allowed beside rows"),
         ({"push_limits": [{"bodies": ["tail"], "directions_deg": [0], "speeds": [0]}]}, "unknown body 'tail'"),
         ({"push_limits": [{"bodies": ["pelvis_link"], "speeds": [0]}]}, "directions_deg is missing"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from asimov_gym.envs.walk_batch import WalkBatch
-from asimov_gym.physics import Reading
+from asimov_gym.physics import CPhysics, JointTarget, Reading
 from asimov_gym.presets import from_mapping, to_mapping
 from asimov_gym.robot import frames, mirror
 from asimov_gym.robot.joints import JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION, VELOCITY_LIMIT
@@ -106,7 +106,7 @@ def test_every_reward_is_the_same_in_the_mirror(name: str) -> None:
     np.testing.assert_allclose(mirrored, value, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["foot_height", "foot_contact", "rest", "rest_pose", "rest_drift"])
+@pytest.mark.parametrize("name", ["foot_height", "foot_contact", "rest", "rest_pose", "rest_stance", "rest_drift"])
 def test_a_robot_thrown_off_may_step(name: str) -> None:
     """The terms for standing count at rest, and not while the pelvis moves faster than the configuration says."""
     _, motion = (task := WalkTask(WalkConfig(thrown_speed=0.3))).motion(*_random_motion(task))
@@ -114,6 +114,22 @@ def test_a_robot_thrown_off_may_step(name: str) -> None:
     away = replace(motion, moving=still, swing=np.zeros((16, 2)), resting=still)
     assert (nothing(away) == (1.0 if name.startswith("foot") else 0.0)).all()
     assert (nothing(replace(away, resting=still + 1.0)) != nothing(away)).any()
+
+
+def test_the_stance_at_rest_is_that_of_stand() -> None:
+    """Nothing where a robot in STAND comes to rest, 4 for both feet 5 cm too far forward and to one side, capped far
+    off."""
+    physics = CPhysics(1)
+    physics.reset(*physics.standing())
+    reading = physics.step(JointTarget(STAND_POSITION[None, None].repeat(1600, axis=1)), 1600)
+    angle = frames.heading(reading.base_quat)
+    feet = frames.to_heading(angle[:, None], reading.foot_position - reading.base_position[:, None])
+    _, motion = (task := WalkTask()).motion(*_random_motion(task))
+    values = []
+    for shift in ((0.0, 0.0), (0.05, -0.05), (0.4, 0.0)):
+        offset = feet.repeat(16, axis=0) + np.array([*shift, 0.0])
+        values.append(rewards.rest_stance(replace(motion, foot_offset=offset, resting=np.ones(16)))[0])
+    np.testing.assert_allclose(values, [0.0, 4.0, 16.0], atol=0.15)
 
 
 def test_who_is_thrown_off() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from asimov_gym.physics import Reading
 from asimov_gym.robot.array_library import namespace
+from asimov_gym.robot.feet import STANCE
 from asimov_gym.robot.joints import EFFORT, JOINT_NAMES, POLICY_TO_JOINT, RANGE, STAND_POSITION, VELOCITY_LIMIT
 
 CONTACT_FORCE = 5.0
@@ -241,6 +242,15 @@ def feet_apart(m: Motion) -> Any:
     return xp.clip(0.16 - gap, 0.0, 0.3) / 0.05
 
 
+def rest_stance(m: Motion) -> Any:
+    """How far each foot is from where STAND would have it under the pelvis while asked to stand: squares, in units of
+    5 cm, summed. STAND does not balance: it topples a robot that rests in another stance."""
+    xp = namespace(m.velocity)
+    away = m.foot_offset[:, :, 0:2] - xp.asarray(STANCE, dtype=m.foot_offset.dtype)
+    square = squares(away) / 0.0025
+    return xp.clip(square[:, 0] + square[:, 1], 0.0, 16.0) * m.resting
+
+
 def rest(m: Motion) -> Any:
     """Mean squared joint speed while asked to stand."""
     xp = namespace(m.velocity)
@@ -289,6 +299,7 @@ TERMS: Mapping[str, Callable[[Motion], Any]] = MappingProxyType(
             joint_limit,
             joint_speed,
             feet_apart,
+            rest_stance,
             rest,
             rest_drift,
             effort,
