@@ -43,6 +43,10 @@ _HELD_BACK = 6
 """Of so many commands one is not fitted to."""
 
 
+class MustWalk(ValueError):
+    """The policy falls too often for its velocities to mean something."""
+
+
 @dataclass(frozen=True)
 class Measurement:
     """What a policy does with constant commands."""
@@ -145,7 +149,7 @@ def measure(
         progress: told how far it is, 0 to 1.
 
     Raises:
-        ValueError: with a tenth of the commands or more the robot fell: a policy that is calibrated must walk.
+        MustWalk: with a tenth of the commands or more the robot fell.
     """
     low, high = _BEYOND * np.array(contract.command_ranges).T
     spread = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(commands).numpy()
@@ -182,7 +186,7 @@ def measure(
         batch.close()
     stood = ~(fallen[: len(drawn)] | fallen[len(drawn) :])
     if np.mean(stood) <= 0.9:
-        raise ValueError(
+        raise MustWalk(
             f"a policy that is calibrated must walk: with {np.sum(~stood)} of {len(drawn)} commands the robot fell"
         )
     return Measurement(drawn[stood], 0.5 * (total[: len(drawn)] + total[len(drawn) :])[stood])

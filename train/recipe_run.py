@@ -15,6 +15,7 @@ from pathlib import Path
 from rich.console import Console
 
 from asimov_gym.evaluation.suite import load_suite
+from train.calibration import MustWalk
 from train.hardware import why_no_gpu
 from train.mean_run import average_runs
 from train.planned_run import STOPPED, WAY_OUT, PlannedRun, processes
@@ -112,7 +113,10 @@ class RecipeRun:
             earlier, result = [*earlier, last], self._mean().path
         policy = result / "policy.onnx"
         if self.recipe.calibrated and calibration_of(RunFolder(result)) is None:
-            calibrate_run(result)
+            try:
+                calibrate_run(result)
+            except MustWalk as error:  # a card that says how bad it is is worth more than none
+                _console.print(f"not calibrated: {error}")
         if not policy.is_file():  # killed in between
             export_run(result, policy)
         code = write_run_card(result, policy, None, self._suite_name, earlier)

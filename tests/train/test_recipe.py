@@ -21,6 +21,7 @@ from tests.train.interruption import REPOSITORY, interrupted_killed_and_resumed 
 from tests.train.jax_settings import why_absent  # noqa: E402
 from tests.train.recipe_pair import PAIR, ROUND, changed, written  # noqa: E402
 from train.__main__ import main  # noqa: E402
+from train.calibration import MustWalk  # noqa: E402
 from train.card import read_curves  # noqa: E402
 from train.config import load_preset  # noqa: E402
 from train.ppo import Trainer  # noqa: E402
@@ -236,6 +237,19 @@ def test_what_somebody_put_there_is_not_deleted(tmp_path: Path, capsys: Any) -> 
     assert main(["recipe", written(tmp_path), "--runs", str(tmp_path / "runs")]) == 2
     assert "01_first has no checkpoint but holds notes.txt: move it away" in capsys.readouterr().err
     assert own.read_text() == "mine"
+
+
+def test_a_result_that_falls_is_judged_without_a_calibration(
+    ran: Path, cards: list[Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def falls(run: Path) -> None:
+        raise MustWalk("with 9 of 10 commands the robot fell")
+
+    monkeypatch.setattr("train.recipe_run.calibrate_run", falls)
+    recipe = written(ran.parent.parent, changed("overrides:\n  library", "calibrated: true\noverrides:\n  library"))
+    assert main(["recipe", recipe, "--runs", str(ran.parent)]) == 0
+    assert "not calibrated: with 9 of 10 commands the robot fell" in capsys.readouterr().out
+    assert [card[0] for card in cards] == [ran / "02_second"] and (ran / "02_second" / "policy.onnx").is_file()
 
 
 def test_stages_may_be_added_behind_those_that_ran(ran: Path, cards: list[Any]) -> None:
