@@ -1,30 +1,32 @@
 """Going through a study, training after training; interrupted at any time and gone on with by the same command.
 
 A training is a run like any other, in `<runs>/<study>/<variant>_seed<seed>`, started, continued, exported and judged as
-`python -m train ppo`, `resume`, `export` and `card` do it. What is there decides what is left: nothing else is
-remembered. After each one `ablation.json` says what is known so far.
+`python -m train ppo`, `resume`, `export` and `card` do it. What is there, and what the file to keep the result in has
+from before, decides what is left: nothing else is remembered. After each one `ablation.json` says what is known so far.
 """
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 
 from asimov_gym.evaluation.results import RESULT_FILE as SUITE_RESULT
-from asimov_gym.evaluation.results import SuiteResult
+from asimov_gym.evaluation.results import SuiteResult, plain
 from asimov_gym.evaluation.suite import load_suite
 from asimov_gym.physics.memory import is_out_of_memory
 from asimov_gym.policy import load_policy
-from asimov_gym.presets import check_range, to_mapping
+from asimov_gym.presets import check_range, from_mapping, to_mapping
 from train.ablation import Study, Variant, changes, check_networks
 from train.ablation_figures import CURVES, FIGURES, figures, kept_curves
 from train.ablation_result import RESULT_FILE, AblationResult, TrainingResult, VariantResult
 from train.card import read_curves
+from train.config import PpoConfig
 from train.hardware import check, machine
 from train.planned_run import STOPPED, PlannedRun, processes
 from train.run_folder import RunFolder, present_commit
@@ -51,12 +53,12 @@ class AblationRun:
         only: names of the variants to train; all of them when empty.
         warm_start: run whose networks all begin with.
         scale: the samples of all trainings are multiplied by this.
-        keep: file that the result is written to as well.
+        keep: file that the result is written to as well. Trainings that are in it already are not done again, and stay.
         source: how the study was asked for, a name or a file; its name when None.
 
     Raises:
         ValueError: a variant or the suite is unknown, the scale is out of range, a run to begin with is missing or
-            does not fit, or what is in the folder is not of this study.
+            does not fit, or what is in the folder, or in the file, is not of this study.
         FileNotFoundError: the run to begin with is not there.
     """
 
@@ -97,6 +99,7 @@ class AblationRun:
         for training in self.trainings:
             training.check("the study", self._parent)
         self.wanted = [one for one in self.trainings if not only or one.variant.name in only]
+        self._kept = self._kept_trainings()
         self._judged: dict[str, tuple[TrainingResult, SuiteResult]] = {}
         self._broken: dict[str, str] = {}
 
@@ -114,18 +117,62 @@ class AblationRun:
         check_networks(f"study {study.name}", study.config(study.base), parent.config(), str(warm_start))
         return parent
 
+    def _kept_trainings(self) -> dict[str, TrainingResult]:
+        """Trainings in the file that the result is kept in, by the names of their folders.
+
+        Raises:
+            ValueError: they are of another study; says what differs.
+        """
+        if self.keep is None or not self.keep.is_file():
+            return {}
+        kept, study = AblationResult.load(self.keep), self.study
+        planned = {training.folder.path.name for training in self.trainings}
+        found = {f"{one.name}_seed{run.seed}": run for one in kept.variants for run in one.trainings}
+        asked = {variant.name: plain(self._changes(variant)) for variant in study.all_variants}
+        settings = from_mapping(PpoConfig, dict(kept.settings), "settings")
+        differs = [
+            *(["the base's settings"] if settings != study.config(study.base).scaled(self._scale) else []),
+            *(["scale"] if kept.scale != self._scale else []),
+            *([f"suite {kept.suite}"] if kept.suite_hash != self.suite.hash else []),
+            *(["the run to begin with"] if plain(kept.after) != plain(self._history()) else []),
+            *(f"variant {one.name}" for one in kept.variants if plain(one.changes) != asked.get(one.name)),
+            *sorted(set(found) - planned),
+        ]
+        if differs:
+            raise ValueError(
+                f"--keep {self.keep} has trainings of another study, it differs in {', '.join(differs)}: name another "
+                "file, or move it away"
+            )
+        return found
+
+    def _changes(self, variant: Variant) -> dict[str, Any]:
+        """What a variant changes of the base, at this scale."""
+        study = self.study
+        if variant.name == study.base.name:
+            return {}
+        return changes(study.config(variant).scaled(self._scale), study.config(study.base).scaled(self._scale))
+
+    def _history(self) -> tuple[Mapping[str, Any], ...]:
+        """Stages of the run that all begin with."""
+        return () if self._parent is None else tuple(self._parent.history())
+
+    def _is_kept(self, training: Training) -> bool:
+        """Whether the file has a training whose run is gone."""
+        return training.folder.path.name in self._kept and not training.folder.path.exists()
+
     def execute(self) -> int:
         """Do what is left: train, export, judge, write the result. Returns the exit code."""
         _console.print(f"study {self.study.name}: {self.study.about}")
         try:
             for training in self.wanted:
-                if not self._do(training):
+                if not self._is_kept(training) and not self._do(training):
                     return 0  # said already how to continue
         except KeyboardInterrupt:
             _console.print(f"\nstopped; continue with:  {self.command}")
             return STOPPED
         _console.print(self._overview())
-        _console.print(f"result: {self.path / RESULT_FILE}")
+        written = self.path / RESULT_FILE
+        _console.print(f"result: {written if written.is_file() else self.keep}")
         for name, reason in self._broken.items():
             _console.print(f"{name} broke: {reason}")
         return 1 if self._broken else 0
@@ -191,17 +238,17 @@ class AblationRun:
 
     def _write(self) -> None:
         """What is known so far, of all variants: those that were not asked for today too."""
-        known = [(training, found) for training in self.trainings if (found := self._known(training)) is not None]
-        if not known:
+        judged = {one.folder.path.name: found for one in self.trainings if (found := self._known(one)) is not None}
+        if not judged:
             return
         study, base = self.study, self.study.config(self.study.base).scaled(self._scale)
+        known = self._kept | {name: result for name, (result, _) in judged.items()}
         variants = []
         for variant in study.all_variants:
-            mine = [result for training, (result, _) in known if training.variant.name == variant.name]
-            if mine:
-                other = {} if variant == study.base else changes(study.config(variant).scaled(self._scale), base)
-                variants.append(VariantResult.of(variant.name, variant.about, other, mine))
-        suite = known[-1][1][1]
+            names = [one.folder.path.name for one in self.trainings if one.variant.name == variant.name]
+            if mine := [known[name] for name in names if name in known]:
+                variants.append(VariantResult.of(variant.name, variant.about, self._changes(variant), mine))
+        suite = list(judged.values())[-1][1]
         result = AblationResult(
             study=to_mapping(study),
             settings=to_mapping(base),
@@ -213,7 +260,7 @@ class AblationRun:
             commit=present_commit(),
             planned=len(self.trainings),
             variants=tuple(variants),
-            after=() if self._parent is None else tuple(self._parent.history()),
+            after=self._history(),
             failures=self._broken,
         )
         for path in (self.path / RESULT_FILE, self.keep):
@@ -232,6 +279,8 @@ class AblationRun:
     def _state(self, training: Training, running: Training | None) -> str:
         if training.folder.path.name in self._broken:
             return "broke"
+        if self._is_kept(training):
+            return f"in {self.keep}"
         state = training.state(training is running)
         known = self._known(training)
         if known is None:

@@ -164,6 +164,50 @@ def test_what_is_finished_is_neither_trained_nor_judged_again(
     assert output.count("done") == 4 and f"result: {ran / 'ablation.json'}" in output
 
 
+def test_trainings_in_the_kept_file_stay_and_are_not_done_again(
+    whole: Path, tmp_path: Path, judge: Judge, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where their runs are gone."""
+    kept, text = tmp_path / "trio.json", (whole / "ablation.json").read_text()
+    before = json.loads(text)
+    left = dict(before, variants=[one for one in before["variants"] if one["name"] != "quiet"])
+    kept.write_text(json.dumps(left))
+    command = ["ablation", written(tmp_path, PLAN), "--runs", str(tmp_path / "runs"), "--keep", str(kept)]
+    assert main(command) == 0
+    assert judge.asked == ["quiet_seed1"]
+    after = json.loads(kept.read_text())
+    assert [one["name"] for one in after["variants"]] == ["all", "quiet", "loose"]
+    others = [one for one in after["variants"] if one["name"] != "quiet"]
+    assert others == left["variants"]
+    assert capsys.readouterr().out.count(f"in {kept}") == 2 * 3  # before the training, and at the end
+    shutil.rmtree(tmp_path / "runs")
+    assert main(command) == 0
+    assert judge.asked == ["quiet_seed1"] and json.loads(kept.read_text()) == after
+    assert f"result: {kept}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("samples: 256", "samples: 384", "the base's settings"),
+        ("gyro: 0", "gyro: 0.01", "variant quiet"),
+        ("base_seeds: [5]", "base_seeds: [6]", "all_seed5"),
+        ("suite: smoke", "suite: quick", "suite smoke"),
+    ],
+)
+def test_a_kept_file_of_another_study_is_not_written_over(
+    old: str, new: str, words: str, whole: Path, tmp_path: Path, judge: Judge, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, text = tmp_path / "trio.json", (whole / "ablation.json").read_text()
+    kept.write_text(text)
+    assert old in PLAN
+    study = written(tmp_path, PLAN.replace(old, new))
+    assert main(["ablation", study, "--runs", str(tmp_path / "runs"), "--keep", str(kept)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "has trainings of another study, it differs in" in said and words in said
+    assert kept.read_text() == text and judge.asked == []
+
+
 class Killed(BaseException):
     """Nothing catches it, and nothing is saved: as `kill -9`."""
 
