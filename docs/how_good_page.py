@@ -112,6 +112,7 @@ def page(shipped: Shipped, table: Table, header: str) -> str:
         "## The bars\n\n" + prose(f"What a policy worth shipping must reach. {_tally(card.bars)}") + "\n",
         _bars(card.bars, table),
         *(_picture(kind.name, kind.title, kind.caption, kind.name in shown) for kind in KINDS if kind.name in NAMES),
+        _hand_over(card, table),
         _beside(card, theirs, pushes, others, table),
         _worse(card.bars, pushes, others, table),
         _LIMITS,
@@ -242,6 +243,25 @@ def _picture(name: str, title: str, caption: str, there: bool) -> str:
     if not there:
         return f"## {title}\n\nThe card does not hold what this picture shows.\n"
     return f"## {title}\n\n![{title}]({FOLDER}/{name}.png)\n\n{prose(caption)}\n"
+
+
+def _hand_over(card: CardFigures, table: Table) -> str:
+    title, walks = "## From a walk to STAND\n\n", [one for one in card.scenarios if one.config == "hand_over"]
+    if not walks:
+        return f"{title}The suite did not ask for it.\n"
+    text = prose(
+        """A walk, a stop, two seconds of rest, and the mode STAND takes over, on the ground and without a rope. STAND
+        drives the joints to its pose and does not balance: the policy has to come to rest in a stance that can be left
+        to it."""
+    )
+    columns = ["walk", "upright", "one foot before the other, cm", "largest, cm", "largest tilt in STAND"]
+    rows = []
+    for one in walks:
+        stagger, tilt = one.figures.get("stance_stagger_m"), one.figures.get("stand_tilt_max_rad")
+        feet = [MISSING] * 2 if stagger is None else [f"{100.0 * x:.1f}" for x in (stagger.mean, stagger.high)]
+        tipped = MISSING if tilt is None else f"{math.degrees(tilt.high):.0f}°"
+        rows.append([one.id.partition("/")[2], f"{one.survived} of {one.trials}", *feet, tipped])
+    return f"{title}{text}\n\n{table(columns, rows)}"
 
 
 # -- beside the maker's ----------------------------------------------------------------------------

@@ -15,6 +15,7 @@ import pytest
 
 from asimov_gym.evaluation.bars import BARS
 from asimov_gym.evaluation.card import CardFigures
+from asimov_gym.evaluation.plot_data import ScenarioFigures, Spread
 from asimov_gym.evaluation.results import PushLimit
 from asimov_gym.evaluation.suite import load_suite
 from tests.docs_module import docs_module
@@ -119,6 +120,16 @@ def test_numbers_follow_from_the_card(generator: ModuleType, measured: CardFigur
     assert "Training took 30 minutes: 12 million samples in 2 stages." in words
     assert "policy `" + measured.policy_hash[:12] in words
     assert "A robot that walks the circle without any error would score 0.60 m/s" in words
+
+
+def test_walks_that_end_in_stand_show_one_by_one(generator: ModuleType, measured: CardFigures, tmp_path: Path) -> None:
+    assert "## From a walk to STAND\n\nThe suite did not ask for it." in page_of(generator, tmp_path, measured)
+    figures = {"stance_stagger_m": Spread(0.024, 0.01, 0.061), "stand_tilt_max_rad": Spread(0.1, 0.05, 0.25)}
+    some = ScenarioFigures("hand_over/fast", "hand_over", (0.0, 0.0, 0.0), 12, 12, 11, figures)
+    none = replace(some, id="hand_over/backward", survived=0, figures={})
+    text = page_of(generator, tmp_path, replace(measured, scenarios=(*measured.scenarios, some, none)))
+    assert "| fast | 11 of 12 | 2.4 | 6.1 | 14° |" in text
+    assert "| backward | 0 of 12 | – | – | – |" in text
 
 
 def test_what_a_reader_must_know_first_comes_first(

@@ -21,6 +21,8 @@ FIGURES = (
     "velocity_rmse_m_s",
     "yaw_rate_rmse_rad_s",
     "drift_final_m",
+    "stance_stagger_m",
+    "stand_tilt_max_rad",
 )
 """Metrics that are kept of each scenario."""
 TIERS = ("reasonable", "beyond")
