@@ -11,7 +11,7 @@ import pytest
 from asimov_gym.assets import asset_path
 from asimov_gym.evaluation.robots import body_parameters
 from asimov_gym.evaluation.rollout import Trace, roll_out
-from asimov_gym.evaluation.rows import Push
+from asimov_gym.evaluation.rows import Command, Push
 from asimov_gym.evaluation.scenario import Conditions, Trial
 from asimov_gym.evaluation.variants import VARIANTS, build_model
 from asimov_gym.policy import PolicyRunner, default_contract, joint_gains, load_policy
@@ -98,6 +98,19 @@ def test_a_robot_at_rest_in_the_standing_pose_can_be_left_to_stand() -> None:
     handed = replace(trial, scenario=replace(trial.scenario, stand_at_s=0.5))
     trace = roll_out(Statue(), [handed])
     assert trace.survived.all() and -trace.gravity[:, 0, 2].max() > np.cos(np.radians(10.0))
+
+
+def test_the_shipped_policy_rests_so_that_stand_can_take_over(walker: PolicyRunner) -> None:
+    stop = Command(2.5, 0.0, 0.0, 0.0)
+    walks = [(0.5, 0.0, 0.0), (0.8, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.8)]
+    asked = []
+    for i, command in enumerate(walks):
+        (trial,) = trials(9.0, command, name=f"test/walk{i}")
+        scenario = replace(trial.scenario, commands=(*trial.scenario.commands, stop), stand_at_s=5.0)
+        asked.append(replace(trial, scenario=scenario))
+    trace = roll_out(walker, asked)
+    assert trace.survived.all()
+    assert (-trace.gravity[250:, :, 2]).min() > np.cos(np.radians(15.0))
 
 
 def test_commands_beyond_the_trained_range_are_clamped_unless_the_scenario_says_otherwise() -> None:
