@@ -152,7 +152,8 @@ class Scenario:
             for axis in AXES:
                 check_range(f"{self.id}: {axis}", getattr(command, axis), -COMMAND_BOUNDS[axis], COMMAND_BOUNDS[axis])
         if self.stand_at_s is not None:
-            check_range(f"{self.id}: stand_at_s", self.stand_at_s, 1.0 / POLICY_RATE_HZ, self.duration_s)
+            step = 1.0 / POLICY_RATE_HZ
+            check_range(f"{self.id}: stand_at_s", self.stand_at_s, step, self.duration_s - step)
             late = [command.t for command in self.commands if command.t >= self.stand_at_s]
             if late:
                 raise ValueError(

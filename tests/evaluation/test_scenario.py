@@ -31,8 +31,8 @@ def test_stand_ends_the_commands() -> None:
     assert walk.stand_step == 25 and _scenario().stand_step == _scenario().steps == 50
     np.testing.assert_array_equal(walk.command_rows()[:, 0], [0.5] * 25 + [0.0] * 25)
     assert walk.info().stand_at_s == 0.5 and _scenario().info().stand_at_s is None
-    with pytest.raises(ValueError, match=r"a/b: stand_at_s must lie in \[0\.02, 1\], got 2"):
-        _scenario(stand_at_s=2.0)
+    with pytest.raises(ValueError, match=r"a/b: stand_at_s must lie in \[0\.02, 0\.98\], got 1"):
+        _scenario(stand_at_s=1.0)
     with pytest.raises(ValueError, match=r"commands must come before stand_at_s 0\.5, got 0\.5"):
         _scenario(commands=(Command(0.0, 0.5, 0.0, 0.0), Command(0.5, 0.0, 0.0, 0.0)), stand_at_s=0.5)
 
