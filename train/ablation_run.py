@@ -156,10 +156,6 @@ class AblationRun:
         """Stages of the run that all begin with."""
         return () if self._parent is None else tuple(self._parent.history())
 
-    def _is_kept(self, training: Training) -> bool:
-        """Whether the file has a training whose run is gone."""
-        return training.folder.path.name in self._kept and not training.folder.path.exists()
-
     def execute(self) -> int:
         """Do what is left: train, export, judge, write the result. Returns the exit code."""
         _console.print(f"study {self.study.name}: {self.study.about}")
@@ -178,6 +174,10 @@ class AblationRun:
         return 1 if self._broken else 0
 
     # -- a training ----------------------------------------------------------------------------------------------------
+
+    def _is_kept(self, training: Training) -> bool:
+        """Whether the file has a training whose run is gone."""
+        return training.folder.path.name in self._kept and not training.folder.path.exists()
 
     def _do(self, training: Training) -> bool:
         """Train, export and judge, as far as that is left; False when it was interrupted."""

@@ -19,6 +19,7 @@ import numpy as np
 from asimov_gym.evaluation import effort, gait, standing, tracking
 from asimov_gym.evaluation.rollout import Trace
 from asimov_gym.evaluation.scenario import Scenario
+from asimov_gym.firmware.safety import tilt
 from asimov_gym.robot.feet import SOLE_DEPTH
 from asimov_gym.robot.frames import heading, to_heading
 from asimov_gym.robot.joints import JOINT_NAMES
@@ -124,7 +125,7 @@ def trial_metrics(trace: Trace, i: int, scenario: Scenario, period_s: float) -> 
     asked = scenario.command_rows()[:end]
     position = np.asarray(trace.position[:end, i], dtype=np.float64)
     stands = scenario.stands
-    values["tilt_max_rad"] = _largest_tilt(trace.gravity[:end, i])
+    values["tilt_max_rad"] = tilt(float(trace.gravity[:end, i, 2].max()))
     if survived:
         turned = heading(np.asarray(trace.quat[:end, i], dtype=np.float64))
         velocity = np.asarray(trace.velocity[:end, i], dtype=np.float64)
@@ -191,13 +192,8 @@ def _hand_over(trace: Trace, i: int, step: int, end: int) -> dict[str, float | N
     return {
         "stance_stagger_m": abs(float(left[0] - right[0])),
         "stance_width_m": float(left[1] - right[1]),
-        "stand_tilt_max_rad": _largest_tilt(trace.gravity[step:end, i]),
+        "stand_tilt_max_rad": tilt(float(trace.gravity[step:end, i, 2].max())),
     }
-
-
-def _largest_tilt(gravity: np.ndarray) -> float:
-    """Largest angle between the pelvis' axis and the vertical, rad, from directions of gravity in its frame, (T, 3)."""
-    return math.acos(min(1.0, max(-1.0, -float(gravity[:, 2].max()))))
 
 
 def _steps(steps: list[gait.Swing], dt: float) -> dict[str, float | None]:
