@@ -79,6 +79,21 @@ def joined_curves(folders: Sequence[RunFolder | Path]) -> dict[str, np.ndarray]:
     return {name: np.concatenate(rows) for name, rows in parts.items() if rows}
 
 
+def averaged_curves(curves: dict[str, np.ndarray], points: int = 200) -> dict[str, np.ndarray]:
+    """The same curves, all with so many rows that are evenly apart; each value is the mean of the rounds around it."""
+    ends = [(rows[0, 0], rows[-1, 0]) for rows in curves.values()]
+    edges = np.linspace(min(first for first, _ in ends), max(last for _, last in ends), points + 1)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    result = {}
+    for name, rows in curves.items():
+        samples, values = rows.T
+        counts, _ = np.histogram(samples, edges)
+        sums, _ = np.histogram(samples, edges, weights=values)
+        between = np.interp(middle, samples, values)  # where no round is
+        result[name] = np.stack([middle, np.where(counts > 0, sums / np.maximum(counts, 1), between)], axis=1)
+    return result
+
+
 def plot_curves(curves: dict[str, np.ndarray], path: Path) -> None:
     """Draw the curves over samples, one small plot each."""
     import matplotlib
@@ -98,15 +113,10 @@ def plot_curves(curves: dict[str, np.ndarray], path: Path) -> None:
     pyplot.close(figure)
 
 
-def save_curves(curves: dict[str, np.ndarray], path: Path, points: int = 200) -> None:
-    """Write the curves as CSV, averaged down to so many rows."""
+def save_curves(curves: dict[str, np.ndarray], path: Path) -> None:
+    """Write curves whose rows are at the same samples as CSV."""
     names = [name for name, _ in CURVES if name in curves]
-    samples = curves[names[0]][:, 0]
-    bins = np.linspace(samples[0], samples[-1], points + 1)
-    middle = 0.5 * (bins[1:] + bins[:-1])
-    columns = [middle]
-    for name in names:
-        columns.append(np.interp(middle, curves[name][:, 0], curves[name][:, 1]))
+    columns = [curves[names[0]][:, 0], *(curves[name][:, 1] for name in names)]
     np.savetxt(
         path, np.stack(columns, axis=1), delimiter=",", header="samples," + ",".join(names), comments="", fmt="%.6g"
     )
@@ -133,7 +143,7 @@ def write_card(
         evaluation: the result's run folder, for samples of the gait.
     """
     contract, config = policy.contract, folder.config()
-    curves = joined_curves([*earlier, folder])
+    curves = averaged_curves(joined_curves([*earlier, folder]))
     plot_curves(curves, path.with_suffix(".curves.png"))
     save_curves(curves, path.with_suffix(".curves.csv"))
     CardFigures.of(result, evaluation).save(path.with_suffix(".json"))

@@ -17,7 +17,7 @@ from asimov_gym.evaluation.runner import run_suite
 from asimov_gym.evaluation.suite import parse_suite
 from asimov_gym.policy import load_policy
 from train.__main__ import main
-from train.card import joined_curves, read_curves, save_curves, write_card
+from train.card import averaged_curves, joined_curves, read_curves, save_curves, write_card
 from train.ppo import Trainer
 from train.run_folder import RunFolder
 from train.weights import with_exploration
@@ -64,7 +64,7 @@ def test_a_warm_start_can_explore_more_or_less_than_the_other_run_did(stages: li
 
 def test_curves_of_stages_follow_each_other(stages: list[RunFolder], tmp_path: Path) -> None:
     curves = joined_curves(stages)
-    save_curves(curves, tmp_path / "both.csv")
+    save_curves(averaged_curves(curves), tmp_path / "both.csv")
     longer = joined_curves([tmp_path / "both.csv", stages[1]])
     assert set(longer) == set(curves)
     for name, rows in longer.items():
@@ -76,6 +76,16 @@ def test_curves_of_stages_follow_each_other(stages: list[RunFolder], tmp_path: P
         joined_curves([tmp_path / "none.csv"])
     samples = curves["episode/reward"][:, 0]
     assert samples[-1] == 512 and (np.diff(samples) > 0).all()
+
+
+def test_curves_are_averaged_to_even_rows() -> None:
+    many = np.stack([np.arange(1.0, 1001.0), np.tile([1.0, 3.0], 500)], axis=1)
+    few = np.array([[1.0, 5.0], [1000.0, 7.0]])
+    curves = averaged_curves({"many": many, "few": few}, points=10)
+    np.testing.assert_allclose(curves["many"][:, 1], 2.0, atol=0.02)
+    between = np.interp(curves["few"][:, 0], *few.T)
+    np.testing.assert_allclose(curves["few"][:, 1], [5.0, *between[1:-1], 7.0])
+    assert np.array_equal(curves["many"][:, 0], curves["few"][:, 0]) and len(curves["few"]) == 10
 
 
 def test_card_holds_what_was_measured(stages: list[RunFolder], tmp_path: Path) -> None:
