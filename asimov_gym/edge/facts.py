@@ -5,7 +5,7 @@ Clients accept model `asimov_1` and the version line 0.2 only, so a simulator sh
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
+from asimov_gym import __version__
 
 ROBOT_MODEL = "asimov_1"
 ROBOT_OS_VERSION = "0.2.0"
@@ -19,17 +19,10 @@ def facts() -> dict[str, str]:
     return {
         "robot_model": ROBOT_MODEL,
         "robot_os_version": ROBOT_OS_VERSION,
-        SIMULATOR_KEY: f"asimov-gym {_version()}",
+        SIMULATOR_KEY: f"asimov-gym {__version__}",
     }
 
 
 def is_simulated(reply: dict[str, object]) -> bool:
     """Whether a robot's facts carry the simulator's mark."""
     return bool(reply.get(SIMULATOR_KEY))
-
-
-def _version() -> str:
-    try:
-        return version("asimov-gym")
-    except PackageNotFoundError:  # run from a checkout that was never installed
-        return "unknown"
