@@ -116,6 +116,7 @@ BLOCKS: Mapping[str, tuple[Row, ...]] = {
         Row("walk.shove.horizontal", "largest horizontal shove by body, N"),
         Row("walk.shove.downward", "largest downward shove by body, N"),
         Row("walk.shove.first", "share of these forces at the start of the curriculum"),
+        Row("walk.shove.mildest", "the weakest shove, as a share of the strongest"),
         Row("walk.shove.duration_s", "a shove lasts, s"),
         Row("walk.shove.interval_s", "from one shove to the next, s"),
         Row("walk.shove.pace_at_rest", "at rest that time passes so many times as fast"),

@@ -29,9 +29,9 @@ def start(config: ShoveConfig = SHOVE, n: int = N) -> tuple[WalkTask, WalkState]
     return task, task.initial_state(np.random.default_rng(0).random((n, RESET_DRAWS)))
 
 
-def due(level: float) -> np.ndarray:
+def due(level: float, config: ShoveConfig = SHOVE) -> np.ndarray:
     """Forces of N shoves that begin, (N, B, 3)."""
-    task, state = start()
+    task, state = start(config)
     state = replace(state, shove_wait=np.zeros(N, dtype=np.int64))
     return task.shove(state, np.random.default_rng(1).random((N, SHOVE_DRAWS)), level).shove
 
@@ -52,6 +52,13 @@ def test_each_body_gets_its_own_kind_of_force() -> None:
     assert 0.28 < pressed / (pressed + shoved) < 0.39  # a third, 1,300 draws
     angle = np.arctan2(force[:, PELVIS, 1], force[:, PELVIS, 0])[flat[:, PELVIS] > 0.0]
     assert np.histogram(angle, 4, (-np.pi, np.pi))[0].min() > 0.2 * len(angle)  # from all sides
+
+
+def test_the_weakest_shove_is_a_share_of_the_strongest_of_its_time() -> None:
+    sizes = np.linalg.norm(due(0.0, replace(SHOVE, mildest=0.7))[:, PELVIS], axis=1)
+    sizes = sizes[sizes > 0.0] / (0.5 * 600.0)
+    assert 0.7 - 1e-9 <= sizes.min() < 0.71 and 0.99 < sizes.max() <= 1.0
+    assert 0.84 < sizes.mean() < 0.86  # evenly between the two
 
 
 def test_curriculum_scales_the_force() -> None:
@@ -117,6 +124,7 @@ def test_shoves_move_the_robot_and_nothing_else_changes() -> None:
         ({"downward": {"pelvis_link": 9e9}}, r"shove.downward.pelvis_link must lie in \[0, 5000\], got 9"),
         ({"duration_s": (0.0, 0.1)}, r"shove.duration_s\[0\] must lie in"),
         ({"first": 1.5}, r"shove.first must lie in \[0, 1\], got 1.5"),
+        ({"mildest": -0.1}, r"shove.mildest must lie in \[0, 1\], got -0.1"),
     ],
 )
 def test_settings_are_checked(fields: dict[str, Any], words: str) -> None:

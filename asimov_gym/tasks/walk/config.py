@@ -130,12 +130,15 @@ class ShoveConfig:
     """Largest force by body, downwards, N."""
     first: float = 0.4
     """Share of these forces at the start of the curriculum; it grows with the level of the kicks."""
+    mildest: float = 0.3
+    """The weakest shove, as a share of the strongest of its time; forces are drawn evenly between the two."""
 
     def __post_init__(self) -> None:
         check_interval("shove.interval_s", self.interval_s, 0.02, 1e6)
         check_interval("shove.duration_s", self.duration_s, 0.02, 5.0)
         check_range("shove.pace_at_rest", self.pace_at_rest, 1, 100)
         check_range("shove.first", self.first, 0.0, 1.0)
+        check_range("shove.mildest", self.mildest, 0.0, 1.0)
         for name in ("horizontal", "downward"):
             for body, force in getattr(self, name).items():
                 if body not in BODY_NAMES:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 SHOVE_DRAWS = 6
 """Uniform numbers per copy that `shoved` needs."""
-_MILDEST = 0.3
-"""The weakest shove, as a share of the strongest."""
 
 
 def shoved(config: ShoveConfig, state: WalkState, draws: Any, level: Any) -> WalkState:
@@ -65,7 +63,7 @@ def _draw_shove(config: ShoveConfig, draws: Any, level: Any) -> tuple[Any, Any, 
     down = xp.asarray([config.downward.get(name, 0.0) for name in bodies], dtype=draws.dtype)
     chosen = xp.floor(len(bodies) * draws[:, 0])[:, None] == xp.arange(len(bodies), dtype=draws.dtype)[None, :]
     strongest = config.first + (1.0 - config.first) * level
-    size = (strongest * (_MILDEST + (1.0 - _MILDEST) * draws[:, 1]))[:, None]
+    size = (strongest * (config.mildest + (1.0 - config.mildest) * draws[:, 1]))[:, None]
     # A body with both kinds is pressed down in a third of its shoves.
     vertical = (draws[:, 2:3] < xp.where(along > 0.0, 1.0 / 3.0, 1.0)) & (down > 0.0)
     angle = 2.0 * math.pi * draws[:, 3:4]
