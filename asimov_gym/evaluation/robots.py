@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any, Protocol
 
 import mujoco
@@ -36,6 +36,14 @@ class Robots(Protocol):
         Args:
             position: joint targets for each physics step, rad, (N, S, 25).
             wrench: forces and torques on bodies, world frame, (N, 6) by name.
+        """
+        ...
+
+    def use_robot_gains(self, which: np.ndarray) -> None:
+        """From the next step on, give robots the robot's own gains instead of the policy's.
+
+        Args:
+            which: (N,) bool.
         """
         ...
 
@@ -105,6 +113,14 @@ def body_parameters(
     return BodyParameters(**values) if values else None
 
 
+def _reset_gains(body: BodyParameters, which: np.ndarray) -> bool:
+    """Set the gains of robots to the robot's own, in place; False where they are already."""
+    if body.kp_scale is None or body.kd_scale is None:
+        return False
+    body.kp_scale[which] = body.kd_scale[which] = 1.0
+    return True
+
+
 class CRobots:
     """Robots on MuJoCo's C engine."""
 
@@ -122,6 +138,10 @@ class CRobots:
 
     def step(self, position: np.ndarray, wrench: Mapping[str, np.ndarray] | None) -> Reading:
         return self.physics.step(JointTarget(position), self._substeps, wrench)
+
+    def use_robot_gains(self, which: np.ndarray) -> None:
+        if self._body is not None and which.any() and _reset_gains(self._body, which):
+            self.physics.set_parameters(self._body, which)
 
     def take(self, kept: np.ndarray) -> CRobots:
         state, body = self.physics.state(), self._body
@@ -156,7 +176,13 @@ class MjxRobots:
         )
         self._engine, self._substeps = engine, variant.substeps
         self._simulation = engine.start(start, jnp.tile(jnp.asarray(qvel, dtype=jnp.float32), (n, 1)))
-        self._step = jax.jit(lambda s, position: engine.step(s, JointTarget(position), variant.substeps, body))
+        self._body = body
+
+        def step(simulation: Any, position: Any, gains: tuple[Any, Any]) -> Any:
+            own = None if body is None else replace(body, kp_scale=gains[0], kd_scale=gains[1])
+            return engine.step(simulation, JointTarget(position), variant.substeps, own)
+
+        self._step = jax.jit(step)
         self.diverged = np.zeros(n, dtype=bool)
 
     def read(self) -> Reading:
@@ -165,9 +191,14 @@ class MjxRobots:
 
     def step(self, position: np.ndarray, wrench: Mapping[str, np.ndarray] | None) -> Reading:
         assert wrench is None
-        self._simulation, diverged = self._step(self._simulation, np.asarray(position, dtype=np.float32))
+        gains = (None, None) if self._body is None else (self._body.kp_scale, self._body.kd_scale)
+        self._simulation, diverged = self._step(self._simulation, np.asarray(position, dtype=np.float32), gains)
         self.diverged = np.asarray(diverged)
         return self.read()
+
+    def use_robot_gains(self, which: np.ndarray) -> None:
+        if self._body is not None:
+            _reset_gains(self._body, which)
 
     def take(self, kept: np.ndarray) -> None:
         return None  # another batch size would be compiled anew

@@ -286,7 +286,9 @@ class _Rollout:
     def _stand_target(self, step: int, reading: Reading) -> np.ndarray:
         """What the mode STAND asks of the joints, (n, 25); of meaning for robots that are in it."""
         since = step - self._stand_step[self._place]
-        self._stand_entry[self._place[since == 0]] = reading.joint_position[since == 0]
+        begins = since == 0
+        self._stand_entry[self._place[begins]] = reading.joint_position[begins]
+        self._robots.use_robot_gains(begins)  # of the firmware's modes POLICY alone has the policy's
         ramp = np.clip(since * DT / RAMP_S, 0.0, 1.0)[:, None]
         return stand_target(self._stand_entry[self._place], STAND_POSITION, ramp)
 

@@ -178,6 +178,25 @@ def test_a_friction_that_would_do_nothing_is_an_error() -> None:
         body_parameters(default_contract(), [Conditions(foot_friction=0.3)], model)
 
 
+@pytest.mark.parametrize("physics", ["evaluation", pytest.param("mjx", marks=pytest.mark.slow)])
+def test_stand_has_the_gains_of_the_robot(physics: str) -> None:
+    """Under a soft policy the robot sags; in STAND it stands as any."""
+    soft = replace(default_contract(), joint_stiffness=tuple(0.5 * k for k in default_contract().joint_stiffness))
+    asked = []
+    for name, stand_at in (("never", None), ("early", 0.1), ("late", 1.5)):
+        (trial,) = trials(6.0, name=f"test/{name}")
+        conditions = replace(trial.scenario.conditions, physics=physics)
+        asked.append(replace(trial, scenario=replace(trial.scenario, stand_at_s=stand_at, conditions=conditions)))
+    sag, usual = (
+        np.abs(roll_out(Statue(c), asked).joint_position - STAND_POSITION).max(axis=2)
+        for c in (soft, default_contract())
+    )
+    last = len(sag) - 1
+    assert sag[last, 0] > 1.3 * usual[last, 0]
+    np.testing.assert_allclose(sag[last, 1:], usual[last, 1:], atol=0.1 * usual[last, 0])
+    assert sag[70, 2] > 1.3 * usual[70, 2]  # not before
+
+
 @pytest.mark.parametrize("terrain", ["flat", "rough:0.03", "steps", "obstacles", "rough_tiles", "slope:6"])
 def test_friction_counts_on_every_ground(terrain: str) -> None:
     body = body_parameters(
