@@ -9,9 +9,11 @@ from typing import Any
 
 from markers import filled
 
+from asimov_gym.assets import asset_path
+from asimov_gym.policy import load_policy
 from asimov_gym.tasks.walk.rewards import TERMS
 from train.config import PpoConfig
-from train.recipe import load_recipe, recipe_names
+from train.recipe import Recipe, load_recipe, recipe_names
 
 PAGE = Path(__file__).resolve().parent / "recipe.md"
 SHOWN = "walk"
@@ -177,7 +179,8 @@ def _recipes(table: Table) -> str:
     rows = []
     for name in recipe_names():
         recipe = load_recipe(name)
-        for stage, config in zip(recipe.stages, recipe.configs, strict=True):
+        took = seconds_taken(recipe, shipped_training())
+        for place, (stage, config) in enumerate(zip(recipe.stages, recipe.configs, strict=True)):
             first = f"`{recipe.name}`" if stage is recipe.stages[0] else ""
             rows.append(
                 [
@@ -186,15 +189,32 @@ def _recipes(table: Table) -> str:
                     f"`{stage.preset}`",
                     millions(stage.samples),
                     config.copies,
-                    time_on_two_cores(config),
+                    time_on_two_cores(config) if took is None else f"{took[place] / 60.0:.0f} min",
                 ]
             )
         if recipe.averaged_stages > 1:
             rows.append(["", f"the mean of the last {recipe.averaged_stages} networks", "", "", "", "seconds"])
         if recipe.calibrated:
             rows.append(["", "commands calibrated", "", "", "", "minutes"])
-        rows.append(["", "**together**", "", millions(recipe.samples), "", time_on_two_cores(*recipe.configs)])
+        whole = time_on_two_cores(*recipe.configs) if took is None else f"{sum(took) / 3600.0:.1f} h, measured"
+        rows.append(["", "**together**", "", millions(recipe.samples), "", whole])
     return table(["recipe", "stage", "preset", "samples", "robots", "two cores"], rows)
+
+
+def shipped_training() -> Mapping[str, Any]:
+    """What the shipped policy says of its own training."""
+    return load_policy(asset_path("policies", "asimov_walk.onnx")).contract.training or {}
+
+
+def seconds_taken(recipe: Recipe, training: Mapping[str, Any]) -> list[float] | None:
+    """How long each stage of a recipe took when a policy was made; None where the policy was not made by it."""
+    stages = [*(training.get("after") or ()), training]
+    if recipe.gpu or [stage.get("preset") for stage in stages] != [stage.preset for stage in recipe.stages]:
+        return None
+    for stage, config in zip(stages, recipe.configs, strict=True):
+        if not 0 <= stage["samples"] - config.samples < config.copies * config.learner.steps:  # whole rounds
+            return None
+    return [float(stage["seconds"]) for stage in stages]
 
 
 def time_on_two_cores(*configs: PpoConfig) -> str:

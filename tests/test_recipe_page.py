@@ -51,6 +51,19 @@ def test_values_are_those_of_the_presets_and_changes_are_bold(
     assert "foot friction | 0.4 to 1.2" in lines  # alike in both
 
 
+def test_times_are_those_of_the_shipped_policy_where_the_recipe_made_it(
+    generator: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = generator.load_recipe("smoke")
+    stages = [{"preset": stage.preset, "samples": stage.samples, "seconds": 600} for stage in recipe.stages]
+    training = {**stages[-1], "after": stages[:-1]}
+    assert generator.seconds_taken(recipe, training) == [600.0] * len(stages)
+    monkeypatch.setattr(generator, "shipped_training", lambda: training)
+    assert f"| {len(stages) / 6:.1f} h, measured\n" in generator.page(table)
+    for other in ({**training, "samples": stages[-1]["samples"] + 10**6}, {**training, "after": []}, {}):
+        assert generator.seconds_taken(recipe, other) is None
+
+
 def test_a_marker_without_a_table_is_refused(
     generator: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
