@@ -176,10 +176,10 @@ def _others(configs: Sequence[PpoConfig]) -> tuple[Row, ...]:
 
 def _recipes(table: Table) -> str:
     """Every recipe's stages, samples and time."""
-    rows = []
+    rows, training = [], shipped_training()
     for name in recipe_names():
         recipe = load_recipe(name)
-        took = seconds_taken(recipe, shipped_training())
+        took = seconds_taken(recipe, training)
         for place, (stage, config) in enumerate(zip(recipe.stages, recipe.configs, strict=True)):
             first = f"`{recipe.name}`" if stage is recipe.stages[0] else ""
             rows.append(
