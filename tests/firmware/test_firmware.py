@@ -1,4 +1,4 @@
-"""What the firmware does with commands, time and faults, on a step clock."""
+"""Modes, walking and what is reported, on a step clock."""
 
 from __future__ import annotations
 
@@ -10,12 +10,10 @@ import pytest
 
 from asimov_gym.firmware import (
     AlertId,
-    Damp,
     Firmware,
     FirmwareConfig,
     GantryConfig,
     Mode,
-    MotorConfig,
     Outcome,
     Stand,
     State,
@@ -25,8 +23,7 @@ from asimov_gym.firmware import (
     WallClock,
 )
 from asimov_gym.physics import CPhysics
-from asimov_gym.robot.joints import KD, KP, MOTOR_NAMES, RANGE, STAND_POSITION, joint_index
-from asimov_gym.robot.motor import HeatModel
+from asimov_gym.robot.joints import STAND_POSITION, joint_index
 
 LEFT_KNEE = joint_index("left_knee_joint")
 ELBOW = joint_index("left_elbow_joint")
@@ -103,88 +100,6 @@ def test_velocity_without_a_policy_is_dropped(make_bench: Callable) -> None:
     bench.firmware.command(Stand())
     assert bench.firmware.command(Velocity(0.1, 0.0, 0.0)).outcome is Outcome.NO_POLICY
     assert bench.run(0.1).mode is Mode.STAND
-
-
-# -- trajectory ------------------------------------------------------------------------------------
-
-
-def test_trajectory_engages_from_damp_at_once_and_drives_every_joint(held) -> None:
-    goal = STAND_POSITION.copy()
-    goal[ELBOW] = 1.2
-    for _ in range(100):
-        held.firmware.command(Trajectory(goal))
-        snapshot = held.run(0.02)
-    assert snapshot.state is State.TRAJECTORY
-    assert snapshot.joint_position == pytest.approx(goal, abs=0.05)
-
-
-def test_trajectory_silence_of_200_ms_damps(held) -> None:
-    held.firmware.command(Trajectory(STAND_POSITION))
-    assert held.run(0.195).state is State.TRAJECTORY
-    assert held.run(0.005).state is State.DAMP
-    assert not held.firmware.snapshot.latched
-
-
-def test_trajectory_within_200_ms_keeps_the_session(held) -> None:
-    for _ in range(6):
-        held.firmware.command(Trajectory(STAND_POSITION))
-        assert held.run(0.19).state is State.TRAJECTORY
-
-
-def test_the_timeout_reads_the_clock_and_not_the_ticks(held) -> None:
-    held.firmware.command(Trajectory(STAND_POSITION))
-    held.clock.advance(200_000)
-    held.firmware.tick()
-    assert held.firmware.state is State.DAMP
-
-
-def test_trajectory_gains_reach_the_joints(held) -> None:
-    kp, kd = KP.copy(), KD.copy()
-    kp[ELBOW] = 0.0
-    goal = STAND_POSITION.copy()
-    goal[ELBOW] = 2.0
-    for _ in range(20):
-        held.firmware.command(Trajectory(goal, kp, kd))
-        limp = held.run(0.02)
-    assert abs(limp.joint_torque[ELBOW]) < 1.0
-    for _ in range(20):
-        held.firmware.command(Trajectory(goal))
-        driven = held.run(0.02)
-    assert driven.joint_position[ELBOW] > limp.joint_position[ELBOW] + 0.5
-
-
-def test_trajectory_is_checked() -> None:
-    with pytest.raises(ValueError, match="position must be 25 finite numbers"):
-        Trajectory(np.zeros(24))
-    with pytest.raises(ValueError, match="kd must be 25 finite numbers"):
-        Trajectory(np.zeros(25), kd=np.full(25, np.nan))
-
-
-def test_a_trajectory_may_bring_its_own_timeout(held) -> None:
-    held.firmware.command(Trajectory(STAND_POSITION, timeout_s=2.0))
-    assert held.run(1.995).state is State.TRAJECTORY
-    assert held.run(0.005).state is State.DAMP
-    held.firmware.command(Trajectory(STAND_POSITION, timeout_s=2.0))
-    held.firmware.command(Trajectory(STAND_POSITION))
-    assert held.run(0.195).state is State.TRAJECTORY
-    assert held.run(0.005).state is State.DAMP
-
-
-def test_silence_is_told_by_an_alert_and_latches_nothing(held) -> None:
-    held.firmware.command(Trajectory(STAND_POSITION))
-    snapshot = held.run(0.205)
-    assert [(a.id, a.value, a.threshold) for a in snapshot.alerts] == [(AlertId.MODE_CHANGE, Mode.DAMP, Mode.MOVE)]
-    assert snapshot.error_flags == 0
-    held.firmware.command(Trajectory(STAND_POSITION))
-    assert held.run(0.1).state is State.TRAJECTORY
-
-
-@pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan, math.inf])
-def test_a_timeout_is_checked(timeout: float) -> None:
-    with pytest.raises(ValueError, match="timeout_s must be None or a finite number > 0"):
-        Velocity(0.0, 0.0, 0.0, timeout_s=timeout)
-    with pytest.raises(ValueError, match="timeout_s must be None or a finite number > 0"):
-        Trajectory(STAND_POSITION, timeout_s=timeout)
 
 
 # -- policy ----------------------------------------------------------------------------------------
@@ -288,116 +203,6 @@ def test_failing_inference_latches_damp(bench, policy) -> None:
     assert snapshot.state is State.DAMP
     assert snapshot.error_flags == 1 | 1 << 15
     assert bench.run(1.0).state is State.DAMP
-
-
-# -- faults ----------------------------------------------------------------------------------------
-
-
-def topple(bench) -> None:
-    bench.physics.kick(np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 0.0]]))
-
-
-def test_fall_latches_damp_and_only_a_restart_clears_it(make_bench: Callable) -> None:
-    bench = make_bench("off")
-    bench.firmware.command(Stand())
-    assert bench.run(1.0).error_flags == 0
-    topple(bench)
-    snapshot = bench.run(1.5)
-    assert snapshot.state is State.DAMP
-    assert snapshot.error_flags & 0x101 == 0x101
-    assert AlertId.FALL_DETECTED in {alert.id for alert in snapshot.alerts}
-    snapshot = bench.run(3.0)
-    assert snapshot.alerts == ()
-    assert snapshot.error_flags & 0x101 == 0x101
-    assert bench.firmware.command(Stand()).outcome is Outcome.TAKEN
-    assert bench.firmware.command(Velocity(0.1, 0.0, 0.0)).outcome is Outcome.DAMPED
-    assert bench.firmware.command(Trajectory(STAND_POSITION)).outcome is Outcome.LATCHED
-    assert bench.firmware.command(Damp()).outcome is Outcome.TAKEN
-    assert bench.run(0.1).state is State.DAMP
-    bench.firmware.restart()
-    snapshot = bench.firmware.snapshot
-    assert (snapshot.error_flags, snapshot.boot, snapshot.timestamp_us) == (0, 2, 0)
-    bench.firmware.command(Stand())
-    assert bench.firmware.state is State.STAND
-
-
-def test_lying_down_in_damp_is_no_fault(make_bench: Callable) -> None:
-    bench = make_bench("off")
-    snapshot = bench.run(3.0)
-    assert bench.pelvis_height() < 0.4
-    assert (snapshot.error_flags, snapshot.alerts) == (0, ())
-
-
-@pytest.mark.parametrize(("state", "latches"), [(State.STAND, True), (State.DAMP, False)])
-def test_joint_out_of_range_latches_unless_damped(held, state: State, latches: bool) -> None:
-    if state is State.STAND:
-        held.firmware.command(Stand())
-        held.run(2.0)
-    physics = held.physics.state()
-    physics.qpos[0, held.physics.model.joint("left_elbow_joint").qposadr[0]] = RANGE[ELBOW, 1] + 0.2
-    held.physics.set_state(physics)
-    snapshot = held.run(0.005)
-    assert snapshot.latched is latches
-    if latches:
-        alert = snapshot.alerts[0]
-        assert (alert.id, alert.source, alert.value, alert.threshold) == (AlertId.JOINT_OUT_OF_RANGE, ELBOW, 200, 50)
-        assert snapshot.state is State.DAMP
-
-
-def test_hot_motor_warns_then_trips(held) -> None:
-    knee = MOTOR_NAMES.index("R_Knee")
-    held.firmware.command(Stand())
-    held.firmware.motors.temperature[knee] = 60.5
-    warm = held.run(0.01)
-    assert [(a.id, a.source, a.value, a.threshold) for a in warm.alerts] == [(AlertId.MOTOR_TEMP_HIGH, knee, 605, 600)]
-    assert (warm.state, warm.error_flags) == (State.STAND, 0)
-    held.firmware.motors.temperature[knee] = 80.5
-    hot = held.run(0.01)
-    assert (hot.state, hot.error_flags) == (State.DAMP, 0x9)
-    assert {alert.id for alert in hot.alerts} == {AlertId.MOTOR_OVERTEMP, AlertId.MOTOR_TEMP_HIGH}
-    held.firmware.motors.temperature[knee] = 71.0
-    assert AlertId.MOTOR_OVERTEMP in {alert.id for alert in held.run(3.0).alerts}
-    held.firmware.motors.temperature[knee] = 40.0
-    assert held.run(2.6).alerts == ()
-    assert held.firmware.snapshot.error_flags == 0x9
-
-
-def test_restart_of_a_hot_robot_trips_again(held) -> None:
-    held.firmware.motors.temperature[0] = 85.0
-    held.run(0.01)
-    held.firmware.restart()
-    assert held.run(0.01).error_flags == 0x9
-
-
-def test_overworked_motor_heats_until_it_trips(make_bench: Callable) -> None:
-    bench = make_bench("hold", motors=MotorConfig(heat=HeatModel(time_constant_s=1.0)))
-    kp = KP.copy()
-    kp[LEFT_KNEE] = 500.0
-    goal = STAND_POSITION.copy()
-    for i in range(300):  # saws to and fro at nearly twice the rated torque
-        goal[LEFT_KNEE] = (0.6, 0.9)[i // 4 % 2]
-        bench.firmware.command(Trajectory(goal, kp, KD))
-        snapshot = bench.run(0.02)
-        if snapshot.latched:
-            break
-    hot = [(alert.id, alert.source) for alert in snapshot.alerts]
-    assert snapshot.error_flags == 0x9
-    assert (AlertId.MOTOR_OVERTEMP, LEFT_KNEE) in hot
-    assert snapshot.motor_temperature[LEFT_KNEE] == pytest.approx(80.0, abs=1.0)
-
-
-def test_injected_critical_alert_latches(bench) -> None:
-    bench.firmware.command(Stand())
-    bench.firmware.inject(AlertId.MOTOR_COMM_LOSS, source=4)
-    snapshot = bench.run(0.005)
-    assert (snapshot.state, snapshot.error_flags) == (State.DAMP, 0x3)
-
-
-def test_a_diverged_simulation_latches(held) -> None:
-    held.physics.kick(np.full((1, 6), 1e4))
-    held.run(0.005)
-    snapshot = held.run(0.005)
-    assert (snapshot.state, snapshot.error_flags) == (State.DAMP, 1 | 1 << 5)
 
 
 # -- reports ---------------------------------------------------------------------------------------
