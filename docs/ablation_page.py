@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ablation_pictures import FOLDER
-from markers import filled, prose
-from recipe_page import Table, millions, time_on_two_cores
+from markers import Table, filled, prose
+from recipe_page import millions, time_on_two_cores
 
 from asimov_gym.evaluation.suite import load_suite
 from asimov_gym.evaluation.table import MISSING, counted, figure, number

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from how_good_pictures import FOLDER, NAMES, pictures
-from markers import prose
+from how_good_published import beside, delays, tilt_degrees, while_what
+from markers import Table, prose
 
 from asimov_gym.assets import asset_path
 from asimov_gym.evaluation import tracking
 from asimov_gym.evaluation.bars import BarResult
 from asimov_gym.evaluation.card import CardFigures, OldCardError
 from asimov_gym.evaluation.plots import KINDS
-from asimov_gym.evaluation.published import Published, published
+from asimov_gym.evaluation.published import published
 from asimov_gym.evaluation.published_comparison import (
     BEHIND,
     Comparison,
@@ -27,10 +27,8 @@ from asimov_gym.evaluation.published_comparison import (
     compare_figures,
     compare_pushes,
 )
-from asimov_gym.evaluation.push_limits import PUSH_S
-from asimov_gym.evaluation.rollout import DT
-from asimov_gym.evaluation.scenario import DELAY_STEP_MS, DELAYS, FALL_RULES, FOOT_FRICTION, scenario_of_row
-from asimov_gym.evaluation.suite import load_suite, shipped_rows
+from asimov_gym.evaluation.scenario import FALL_RULES, FOOT_FRICTION
+from asimov_gym.evaluation.suite import load_suite
 from asimov_gym.evaluation.table import MISSING, counted
 
 SUITE = "standard"
@@ -48,8 +46,6 @@ README_BARS = (
 )
 """Bars in the README, by name."""
 _BEGIN, _END = "<!-- how good: made by docs/generate.py -->\n", "<!-- end of how good -->\n"
-Table = Callable[[Sequence[str], Iterable[Sequence[object]]], str]
-"""Writes a Markdown table from its header and rows."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ def page(shipped: Shipped, table: Table, header: str) -> str:
         _bars(card.bars, table),
         *(_picture(kind.name, kind.title, kind.caption, kind.name in shown) for kind in KINDS if kind.name in NAMES),
         _hand_over(card, table),
-        _beside(card, theirs, pushes, others, table),
+        beside(card, theirs, pushes, others, table),
         _worse(card.bars, pushes, others, table),
         _LIMITS,
     ]
@@ -158,9 +154,9 @@ def _what_is_measured(shipped: Shipped, card: CardFigures) -> str:
         scenarios, {trials:,} trials, {up:,} of them without a fall. The suite also asks for what may not be possible:
         ice, stairs, weak motors, pushes beyond what the robot's maker holds reasonable. All of it is simulation, under
         the evaluation conditions: all bodies collide, elliptic friction cone, dry joint friction, soles with friction
-        {FOOT_FRICTION:g}, no rope; joint targets arrive late by {_delays()}. A robot has fallen when it is tilted by
-        more than {_tilt(rule.gravity_z):.0f}° or its pelvis is lower than {rule.height:g} m; the rows of the maker's
-        benchmark keep the maker's tilt, {_tilt(vendor.gravity_z):.1f}°. Errors are those after the first
+        {FOOT_FRICTION:g}, no rope; joint targets arrive late by {delays()}. A robot has fallen when it is tilted by
+        more than {tilt_degrees(rule.gravity_z):.0f}° or its pelvis is lower than {rule.height:g} m; the rows of the
+        maker's benchmark keep the maker's tilt, {tilt_degrees(vendor.gravity_z):.1f}°. Errors are those after the first
         {tracking.SETTLE_S:g} s; over a gait cycle means that the velocity is averaged over one. The seed of every trial
         follows from the suite, so the same versions give the same figures:"""
     )
@@ -170,15 +166,6 @@ def _what_is_measured(shipped: Shipped, card: CardFigures) -> str:
         is made from the figures beside the policy, `{shipped.policy.stem}.json`; none of them is typed by hand."""
     )
     return f"{measured}\n\n```sh\n{COMMAND.replace(SUITE, card.suite)}\n```\n\n{where}\n"
-
-
-def _delays() -> str:
-    return f"0 to {DELAY_STEP_MS * (DELAYS - 1):g} ms, by seed"
-
-
-def _tilt(gravity_z: float) -> float:
-    """Tilt at which the body-frame gravity has this z, degrees."""
-    return math.degrees(math.acos(-gravity_z))
 
 
 def _machine(machine: Mapping[str, Any]) -> str:
@@ -264,114 +251,6 @@ def _hand_over(card: CardFigures, table: Table) -> str:
     return f"{title}{text}\n\n{table(columns, rows)}"
 
 
-# -- beside the maker's ----------------------------------------------------------------------------
-
-
-def _beside(
-    card: CardFigures,
-    theirs: Published,
-    pushes: Sequence[PushComparison],
-    others: Sequence[Comparison],
-    table: Table,
-) -> str:
-    documents = ", ".join(f"`{path}`" for path in theirs.documents.values())
-    firmware, vendor = FALL_RULES["firmware"], FALL_RULES["vendor"]
-    start = prose(
-        f"""The robot's maker published figures of the walking policy that it released, `{theirs.policy}`
-        ([repository]({theirs.repository}): {documents}). Nobody ran that policy here; its figures stand as they were
-        reported. Both are simulations in MuJoCo, and the pushes and walks are the same rows, but the tests differ:"""
-    )
-    differences = (
-        """The maker's simulation has its own model of the robot, contact settings and gains; ours runs under the
-        conditions above.""",
-        f"""In the maker's sweeps the delay of the actions was drawn without a seed, and in policy ticks by mistake:
-        {_range(theirs.delay_ms)} ms, where {_range(theirs.trained_delay_ms)} ms were trained. Ours is {_delays()}.""",
-        f"""The maker raises the force until the robot falls; how many tries each force had is not stated. Ours is
-        bisected to {_resolution(card)}, every repeat has to be survived, and a robot beyond
-        {_tilt(firmware.gravity_z):.0f}° has fallen there, where the maker lets it go to {_tilt(vendor.gravity_z):.1f}°.
-        The two forces of the benchmark's row, under the maker's rule, count too; where no bisection was made, they are
-        all there is (*).""",
-    )
-    points = "\n".join(prose(f"- {words}", "  ") for words in differences)
-    about_pushes = prose(
-        f"""{PUSH_S:g} s each. Theirs: the first force that felled the robot in each of two sweeps; none to a force:
-        nothing up to it did, and more was not tried. Ours: the largest force that every repeat survived, and the
-        smallest that some repeat did not. Must-pass and stretch are the benchmark's two forces for the place, with the
-        repeats passed."""
-    )
-    circle = prose(
-        f"""A robot that walks the circle without any error would score {_perfect_circle():.2f} m/s in its vx, were that
-        taken along an axis of the world instead of the robot's heading. The maker's figure for the velocity is near to
-        this, so the two are not ranked."""
-    )
-    figures = table(["measure", "the maker's", "ours", "ours is", "note"], map(_cells, others))
-    return (
-        f"## Beside the maker's policy\n\n{start}\n\n{points}\n\n### Push by push\n\n{about_pushes}\n\n"
-        f"{_push_table(pushes, table)}\n### Counts and walks\n\n{figures}\n{circle}\n"
-    )
-
-
-def _range(pair: tuple[float, float]) -> str:
-    return f"{pair[0]:g} to {pair[1]:g}"
-
-
-def _resolution(card: CardFigures) -> str:
-    """Of the bisection, with its repeats."""
-    found = {(limit.resolution_n, limit.repeats) for limit in card.pushes.limits}
-    shown = sorted(f"{newtons:g} N with {counted(repeats, 'repeat')}" for newtons, repeats in found)
-    return " or ".join(shown) or "nothing here"
-
-
-def _push_table(pushes: Sequence[PushComparison], table: Table) -> str:
-    columns = ["push", "while", "maker's: falls at, N", "ours: survives, N", "falls at, N", "must-pass", "stretch"]
-    return table(
-        [*columns, "ours is"],
-        [
-            [
-                push.where,
-                _while(push),
-                push.theirs,
-                _survived(push) + ("" if push.bisected else " *"),
-                push.ours,
-                _row(push.must_pass),
-                _row(push.stretch),
-                _verdict(push.verdict),
-            ]
-            for push in pushes
-        ],
-    )
-
-
-def _survived(push: PushComparison) -> str:
-    if push.survived is not None:
-        return f"{push.survived:g}"
-    return f"below {push.felled:g}" if push.felled else MISSING
-
-
-def _while(push: PushComparison) -> str:
-    return f"walking, {push.speed:g} m/s" if push.speed else "standing"
-
-
-def _row(row: Any) -> str:
-    return MISSING if row is None else f"{row.push.force:g} N: {row.outcomes.passed} of {row.outcomes.whole}"
-
-
-def _cells(one: Comparison) -> list[str]:
-    return [one.what, one.theirs, one.ours, _verdict(one.verdict), one.note]
-
-
-def _verdict(verdict: str) -> str:
-    return f"**{verdict}**" if verdict in BEHIND else verdict
-
-
-def _perfect_circle() -> float:
-    """RMS error of vx in the world frame, m/s, of a robot that does exactly what the circle's commands ask."""
-    command = scenario_of_row(shipped_rows()["locomotion/circle"], None, 1).command_rows()
-    _, heading = tracking.dead_reckoned_path(command, DT, np.zeros(2))
-    along_x = np.cos(heading) * command[:, 0] - np.sin(heading) * command[:, 1]
-    return float(np.sqrt(np.mean((along_x - command[:, 0]) ** 2)))
-
-
 # -- where ours is behind --------------------------------------------------------------------------
 
 
@@ -382,13 +261,13 @@ def _worse(
     for push in pushes:
         if push.verdict in BEHIND:
             words = "" if push.verdict == "worse" else "behind one of the two sweeps"
-            name = f"push, {push.where}, {_while(push)}: first force that fells it"
+            name = f"push, {push.where}, {while_what(push)}: first force that fells it"
             rows.append([name, f"{push.ours} N", f"the maker's: {push.theirs} N", words])
     rows += [[one.what, one.ours, f"the maker's: {one.theirs}", one.note] for one in others if one.verdict in BEHIND]
     text = "Every measure above that misses its bar or is behind the maker's figure.\n\n"
     body = text + table(["measure", "ours", "against", ""], rows) if rows else "No measure above is behind.\n"
     unknown = [_bar_name(bar) for bar in bars if bar.verdict == "not measured"]
-    unknown += [f"push, {push.where}, {_while(push)}" for push in pushes if push.verdict == "not measured"]
+    unknown += [f"push, {push.where}, {while_what(push)}" for push in pushes if push.verdict == "not measured"]
     unknown += [one.what for one in others if one.verdict == "not measured"]
     if unknown:
         body += "\n" + prose(f"Not measured, so neither better nor worse: {'; '.join(unknown)}.") + "\n"

@@ -1,11 +1,14 @@
-"""Pages that are written by hand but for what stands between two comments."""
+"""What the pages are put together with: tables, wrapped prose, and pages written by hand but for marked parts."""
 
 from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+
+Table = Callable[[Sequence[str], Iterable[Sequence[object]]], str]
+"""Writes a Markdown table from its header and rows."""
 
 
 def filled(page: Path, made: Mapping[str, str]) -> str:

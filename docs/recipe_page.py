@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from markers import filled
+from markers import Table, filled
 
 from asimov_gym.assets import asset_path
 from asimov_gym.policy import load_policy
@@ -20,8 +20,6 @@ SHOWN = "walk"
 """Recipe whose settings are on the page."""
 SPEED = (5_000, 10_000)
 """Samples per second that two cores train with, at least (shoves, more passes, a slow machine) and at most."""
-Table = Callable[[Sequence[str], Iterable[Sequence[object]]], str]
-"""Writes a Markdown table from its header and rows."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from asimov_gym.evaluation.suite import load_suite
 from asimov_gym.physics.memory import is_out_of_memory
 from asimov_gym.policy import load_policy
 from asimov_gym.presets import check_range, from_mapping, to_mapping
+from asimov_gym.versions import installed_versions
 from train.ablation import Study, Variant, changes, check_networks
 from train.ablation_figures import CURVES, FIGURES, figures, kept_curves
 from train.ablation_result import RESULT_FILE, AblationResult, TrainingResult, VariantResult
@@ -256,7 +256,7 @@ class AblationRun:
             suite=self.suite.name,
             suite_hash=self.suite.hash,
             machine=machine(),
-            versions={**suite.versions, **_learner_versions()},
+            versions={**suite.versions, **installed_versions(_LEARNERS)},
             commit=present_commit(),
             planned=len(self.trainings),
             variants=tuple(variants),
@@ -288,13 +288,3 @@ class AblationRun:
         shown = [name for name in ("survival_grid", "velocity_error") if name in known[0].figures]
         values = {FIGURES[name].title: known[0].figures[name].value for name in shown}
         return ", ".join([state, *(f"{title} {value:.3g}" for title, value in values.items() if value is not None)])
-
-
-def _learner_versions() -> dict[str, str]:
-    versions = {}
-    for name in _LEARNERS:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return versions

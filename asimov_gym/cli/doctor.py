@@ -10,9 +10,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
+
+from asimov_gym.versions import installed_versions
 
 BASE_PACKAGES = (
     "array-api-compat",
@@ -129,13 +130,11 @@ def base_findings() -> list[Finding]:
             required=True,
         )
     ]
-    versions, missing = [], []
-    for package in BASE_PACKAGES:
-        try:
-            versions.append(f"{package} {version(package)}")
-        except PackageNotFoundError:
-            missing.append(package)
-    found += [Finding("packages", Verdict.WORKS, ", ".join(versions), required=True)] if versions else []
+    versions = installed_versions(BASE_PACKAGES)
+    missing = [name for name in BASE_PACKAGES if name not in versions]
+    if versions:
+        shown = ", ".join(f"{name} {version}" for name, version in versions.items())
+        found.append(Finding("packages", Verdict.WORKS, shown, required=True))
     if missing:
         cure = "pip install " + " ".join(missing)
         found.append(Finding("packages", Verdict.ABSENT, ", ".join(missing), cure, required=True))

@@ -7,9 +7,9 @@ import platform
 import re
 import subprocess
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from asimov_gym.versions import installed_versions
 from train.hardware import gpu_names
 
 PACKAGES = (
@@ -49,12 +49,7 @@ class Machine:
     @classmethod
     def this(cls) -> Machine:
         """The machine at hand."""
-        packages = {}
-        for name in PACKAGES:
-            try:
-                packages[name] = version(name)
-            except PackageNotFoundError:
-                continue
+        packages = installed_versions(PACKAGES)
         return cls(_cpu(), cores(), _memory_gb(), gpu_names(), _system(), platform.python_version(), packages)
 
     @property

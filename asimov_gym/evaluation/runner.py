@@ -8,7 +8,6 @@ import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from asimov_gym.evaluation.tracking import gait_period
 from asimov_gym.policy import Policy, PolicyContract
 from asimov_gym.policy.contract import DEFAULT_REVISION
 from asimov_gym.robot.model import model_sha256
+from asimov_gym.versions import installed_versions
 
 MAX_BATCH_BYTES = 128e6
 """Of a rollout's record. The more robots, the better the cores are used; the fewer, the less is lost by a stop."""
@@ -317,9 +317,4 @@ def _machine() -> dict[str, Any]:
 def _versions() -> dict[str, str]:
     versions = {"robot model": f"{DEFAULT_REVISION} {model_sha256(*DEFAULT_REVISION.split('/'))[:12]}"}
     versions["python"] = platform.python_version()
-    for name in _PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return versions
+    return versions | installed_versions(_PACKAGES)

@@ -9,7 +9,6 @@ JAX, the shapes of the arguments. Where any of that cannot be told for certain, 
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import io
 import logging
 import os
@@ -28,6 +27,7 @@ from jax import export
 
 import asimov_gym
 from asimov_gym.physics.functional.runtime import keep_what_is_compiled
+from asimov_gym.versions import installed_versions
 
 _log = logging.getLogger(__name__)
 
@@ -154,15 +154,8 @@ def _code() -> str:
     root = Path(asimov_gym.__file__).parent
     files = sorted(path for suffix in ("py", "yaml", "json", "xml") for path in root.rglob(f"*.{suffix}"))
     sources = [part for path in files for part in (path.relative_to(root).as_posix(), path.read_bytes())]
-    versions = [_version(name) for name in _PACKAGES]
+    versions = [f"{name} {version}" for name, version in installed_versions(_PACKAGES).items()]
     return _digest(sys.version, *versions, *sources)
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def _signature(arguments: tuple[Any, ...]) -> str:
